@@ -1,6 +1,6 @@
 //! State of a device that its task shares with the rest of the daemon.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use ihd_capture::recording::RecordingSession;
@@ -14,6 +14,7 @@ use crate::firmware::usb_serial;
 use crate::lease::LeaseBook;
 use crate::live::recent_power::RecentPower;
 use crate::live::ring::LiveRing;
+use crate::locking::lock;
 use crate::pot_tracker::PotTracker;
 use crate::printable::printable;
 use crate::states::live;
@@ -114,25 +115,22 @@ impl DeviceRecord {
 
     /// Locks the mutable state; held only for a moment, never over a wait.
     pub fn lock(&self) -> MutexGuard<'_, Inner> {
-        // Poisoning is ignored: no lock scope leaves a half-written value.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.inner)
     }
 
     /// Locks the last minute of telemetry; held only for a moment.
     pub fn ring(&self) -> MutexGuard<'_, LiveRing> {
-        self.ring.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.ring)
     }
 
     /// Locks the last fits; held only for a moment.
     pub fn fits(&self) -> MutexGuard<'_, RecentFits> {
-        self.fits.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.fits)
     }
 
     /// Locks the tracker of its pot; held for as long as a fit takes.
     pub fn pot_tracker(&self) -> MutexGuard<'_, PotTracker> {
-        self.pot_tracker
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        lock(&self.pot_tracker)
     }
 
     /// Locks the tracker of its pot without waiting; `None` if it is locked.
@@ -142,9 +140,7 @@ impl DeviceRecord {
 
     /// Locks the temperature curve of its pot; held only for a moment.
     pub fn pot_curve(&self) -> MutexGuard<'_, PotCurve> {
-        self.pot_curve
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
+        lock(&self.pot_curve)
     }
 
     /// Enters a state. A new state is published and logged; a new detail alone only in `Searching` and `Faulted`.

@@ -52,8 +52,3 @@ impl EventBus {
         self.events.subscribe()
     }
 }
-
-/// Returns milliseconds since 1970, UTC, on the system clock.
-pub fn now_ms() -> i64 {
-    jiff::Timestamp::now().as_millisecond()
-}

@@ -118,7 +118,7 @@ pub enum ProgramError {
     },
     /// The system denies access, or another program uses it.
     #[error(
-        "cannot open {what}: {why}; another program (an IDE, OpenOCD, a second ihd) may hold it, or the rights to the USB device lack: `ihd doctor` says which and what to do"
+        "cannot open {what}: {why}; another program (an IDE, OpenOCD, a second ihd) may hold it, or this user lacks the rights to the USB device: `ihd doctor` says which and what to do"
     )]
     Open {
         /// Description of the device.

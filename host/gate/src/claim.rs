@@ -7,6 +7,7 @@
 use std::f64::consts::TAU;
 
 use ihd_identify::lockin::{Boxcar, LockInPhasors, demodulate};
+use ihd_signal::interpolation::linear;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Segment, SegmentError};
 use nalgebra::Complex;
@@ -153,9 +154,9 @@ pub fn confirm(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Confirmat
         }
     }
     let mean = look(&all, OWN_MEAN_ERROR)?;
-    left(&all, noise, kernel)?;
+    check_residual(&all, noise, kernel)?;
     Ok(Confirmation {
-        i_amplitude_a: along(claim.t_s, &points, |p| p.i.norm()),
+        i_amplitude_a: interpolated_at(claim.t_s, &points, |p| p.i.norm()),
         chi2: {
             let half_s = segment.half_cycle_s();
             let of = |t_s: &f64| stretch(t_s / half_s).map_or(f64::INFINITY, |k| chi2[k]);
@@ -207,10 +208,8 @@ impl ClaimedResult<'_> {
 
     /// R and L at a time, linear between the points.
     fn at(&self, t_s: f64) -> (f64, f64) {
-        (
-            linear(self.t_s, self.r_ohm, t_s),
-            linear(self.t_s, self.l_h, t_s),
-        )
+        let at = |values: &[f64]| linear(self.t_s, values, t_s).unwrap_or(f64::NAN);
+        (at(self.r_ohm), at(self.l_h))
     }
 }
 
@@ -358,7 +357,7 @@ impl Difference {
 }
 
 /// Checks that little more than noise is left of the voltage.
-fn left(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimError> {
+fn check_residual(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimError> {
     let (mut power, mut white, mut whole) = (0.0, 0.0, 0.0);
     for p in all {
         power += p.left.norm_sqr();
@@ -372,16 +371,14 @@ fn left(all: &[&Residual], noise: WhiteNoise, samples: f64) -> Result<(), ClaimE
     }
 }
 
-/// A figure of the phasors, interpolated at other times.
-fn along(t_s: &[f64], points: &[Residual], figure: impl Fn(&Residual) -> f64) -> Vec<f64> {
+/// Returns a quantity of the residuals, interpolated at other times.
+fn interpolated_at(
+    t_s: &[f64],
+    points: &[Residual],
+    quantity: impl Fn(&Residual) -> f64,
+) -> Vec<f64> {
     let own_s: Vec<f64> = points.iter().map(|p| p.t_s).collect();
-    let figures: Vec<f64> = points.iter().map(figure).collect();
-    t_s.iter().map(|t| linear(&own_s, &figures, *t)).collect()
-}
-
-/// y over rising x at one place, linear between the points and constant beyond them; both have at least two.
-fn linear(x: &[f64], y: &[f64], at: f64) -> f64 {
-    let above = x.partition_point(|x| *x < at).clamp(1, x.len() - 1);
-    let share = ((at - x[above - 1]) / (x[above] - x[above - 1])).clamp(0.0, 1.0);
-    y[above - 1] + share * (y[above] - y[above - 1])
+    let values: Vec<f64> = points.iter().map(quantity).collect();
+    let at = |t_s: &f64| linear(&own_s, &values, *t_s).unwrap_or(f64::NAN);
+    t_s.iter().map(at).collect()
 }

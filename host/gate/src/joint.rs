@@ -58,8 +58,6 @@ pub struct NearTone {
     pub offset_hz: f64,
     /// Amplitude and phase in volt at time zero.
     pub v: Complex<f64>,
-    /// Standard deviation of the amplitude in volt.
-    pub sigma_v: f64,
     /// `true` if its amplitude follows the bus.
     pub follows_bus: bool,
 }
@@ -84,8 +82,6 @@ pub enum Cause {
 pub struct JointFit {
     /// Misfit of the static law, as shares of R and L in percent.
     pub misfit_pct: [f64; 2],
-    /// Misfit that is left with the cause.
-    pub left_pct: [f64; 2],
     /// Cause of the misfit.
     pub cause: Cause,
 }
@@ -175,20 +171,13 @@ impl Means {
         }
         let v = weighed(&self.periods, |_, p| p.v);
         let misfit_pct = self.misfit_pct(&space.outside(&v));
-        let done = |left_pct, cause| {
-            Some(JointFit {
-                misfit_pct,
-                left_pct,
-                cause,
-            })
-        };
+        let done = |cause| Some(JointFit { misfit_pct, cause });
         if !self.is_misfit(misfit_pct) {
-            return done(misfit_pct, Cause::None);
+            return done(Cause::None);
         }
         space.add_drift(&self.periods);
-        let drift_pct = self.misfit_pct(&space.outside(&v));
-        if !self.is_misfit(drift_pct) {
-            return done(drift_pct, Cause::Drift);
+        if !self.is_misfit(self.misfit_pct(&space.outside(&v))) {
+            return done(Cause::Drift);
         }
         let share = |pct: [f64; 2]| (pct[0] / MISFIT_PCT[0]).hypot(pct[1] / MISFIT_PCT[1]);
         let explains = |pct: &[f64; 2]| share(*pct) <= MAX_MISFIT_RATIO * share(misfit_pct);
@@ -196,8 +185,7 @@ impl Means {
         let mut all = space.clone();
         tones.iter().for_each(|t| self.add(&mut all, t));
         let beside_tones = all.outside(&v);
-        let left_pct = self.misfit_pct(&beside_tones);
-        let by_tones = !tones.is_empty() && explains(&left_pct);
+        let by_tones = !tones.is_empty() && explains(&self.misfit_pct(&beside_tones));
         let tones_cost = cost(
             &beside_tones,
             all.dimension() + tones.len() * (NUMBERS_OF_TONE - 2),
@@ -205,13 +193,11 @@ impl Means {
         let step = self.step(&space, &v).filter(|(_, left, numbers)| {
             explains(&self.misfit_pct(left)) && !(by_tones && tones_cost < cost(left, *numbers))
         });
-        if let Some((at, left, _)) = step {
-            return done(self.misfit_pct(&left), Cause::Step(self.t_s[at]));
-        }
-        if !by_tones {
-            return done(drift_pct, Cause::Unknown);
-        }
-        done(left_pct, Cause::Tones(tones))
+        done(match step {
+            Some((at, ..)) => Cause::Step(self.t_s[at]),
+            None if by_tones => Cause::Tones(tones),
+            None => Cause::Unknown,
+        })
     }
 
     /// Most likely step: its mean, what is left with it, and its numbers; `None` if there are too few means.
@@ -303,15 +289,14 @@ impl Means {
         }
     }
 
-    /// Fit of one tone beside a space: its gain in squared residual, its amplitude, and the largest variance of the amplitude over
-    /// that of the residual; `None` where it lies in the space.
-    fn one(
+    /// Fits one tone beside a space: its gain in squared residual and its amplitude in volt; `None` where it lies in the space.
+    fn fit_tone(
         &self,
         space: &Space,
         left: &[f64],
         offset_hz: f64,
         follows_bus: bool,
-    ) -> Option<(f64, Complex<f64>, f64)> {
+    ) -> Option<(f64, Complex<f64>)> {
         let columns = self.columns(offset_hz, follows_bus);
         let inside = [space.inside(&columns[0]), space.inside(&columns[1])];
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
@@ -319,17 +304,17 @@ impl Means {
             Matrix2::from_fn(|a, b| dot(&columns[a], &columns[b]) - dot(&inside[a], &inside[b]));
         let whole = dot(&columns[0], &columns[0]);
         let right = Vector2::new(dot(&columns[0], left), dot(&columns[1], left));
-        let least = gram.symmetric_eigenvalues().min();
-        if least < LEAST_OUTSIDE * whole {
+        if gram.symmetric_eigenvalues().min() < LEAST_OUTSIDE * whole {
             return None;
         }
         let v = gram.cholesky()?.solve(&right);
-        Some((v.dot(&right), Complex::new(v[0], v[1]), 1.0 / least))
+        Some((v.dot(&right), Complex::new(v[0], v[1])))
     }
 
-    fn best(&self, space: &Space, left: &[f64], offset_hz: f64) -> (f64, bool) {
+    /// Larger gain of a tone at a frequency, and `true` if it is that of one that follows the bus.
+    fn gain_and_kind(&self, space: &Space, left: &[f64], offset_hz: f64) -> (f64, bool) {
         let gain = |follows| {
-            self.one(space, left, offset_hz, follows)
+            self.fit_tone(space, left, offset_hz, follows)
                 .map_or(0.0, |x| x.0)
         };
         let (held, follows) = (gain(false), gain(true));
@@ -352,7 +337,7 @@ impl Means {
         while tones.len() < MOST_TONES {
             let left = space.outside(v);
             let places = (-steps..=steps).filter(|k| k.abs() >= least);
-            let gain = |k: i64| self.best(&space, &left, k as f64 * step_hz).0;
+            let gain = |k: i64| self.gain_and_kind(&space, &left, k as f64 * step_hz).0;
             let Some((k, _)) = places
                 .map(|k| (k, gain(k)))
                 .max_by(|a, b| a.1.total_cmp(&b.1))
@@ -389,10 +374,13 @@ impl Means {
         near_hz: f64,
         reach_hz: f64,
     ) -> Option<NearTone> {
-        let follows_bus = self.best(space, left, near_hz).1;
-        let power = |hz: f64| self.one(space, left, hz, follows_bus).map_or(0.0, |x| x.0);
+        let follows_bus = self.gain_and_kind(space, left, near_hz).1;
+        let power = |hz: f64| {
+            self.fit_tone(space, left, hz, follows_bus)
+                .map_or(0.0, |x| x.0)
+        };
         let offset_hz = peak(near_hz, reach_hz, power);
-        let (gain, v, spread) = self.one(space, left, offset_hz, follows_bus)?;
+        let (gain, v) = self.fit_tone(space, left, offset_hz, follows_bus)?;
         let all: f64 = left.iter().map(|x| x * x).sum();
         let free = left
             .len()
@@ -402,7 +390,6 @@ impl Means {
         (gain > LEAST_GAIN * variance).then_some(NearTone {
             offset_hz,
             v,
-            sigma_v: (variance * spread).sqrt(),
             follows_bus,
         })
     }

@@ -54,8 +54,6 @@ pub struct PooledLaw {
     pub l_sigma_h: Vec<f64>,
     /// Change of R from beginning to end in ohm, and its standard deviation.
     pub r_drift_ohm: (f64, f64),
-    /// Change of L from beginning to end in henry, and its standard deviation.
-    pub l_drift_h: (f64, f64),
     /// Squared residual over what noise leaves.
     pub chi2: f64,
 }
@@ -341,10 +339,6 @@ pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
         l_h: knots.clone().map(|k| fitted[EACH + k] / omega).collect(),
         l_sigma_h: knots.map(|k| sigma(EACH + k) / omega).collect(),
         r_drift_ohm: (2.0 * fitted[KNOTS], 2.0 * sigma(KNOTS)),
-        l_drift_h: (
-            2.0 * fitted[EACH + KNOTS] / omega,
-            2.0 * sigma(EACH + KNOTS) / omega,
-        ),
         chi2,
     })
 }

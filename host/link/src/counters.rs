@@ -31,7 +31,7 @@ pub struct ClientCounters {
     pub windows_begun: u32,
     /// Windows rejected, by [`super::WindowDefect::label`].
     pub windows_rejected: BTreeMap<&'static str, u32>,
-    /// PartialPayload of windows requested again.
+    /// Pieces of windows requested again.
     pub pieces_asked: u32,
     /// Messages of windows that were complete or rejected already.
     pub window_messages_stray: u32,

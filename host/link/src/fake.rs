@@ -1,4 +1,4 @@
-//! FakeDevice device for tests.
+//! Fake device for tests.
 
 use std::time::Duration;
 
@@ -71,7 +71,7 @@ pub fn front_end() -> FrontEnd {
 type OnMessage = dyn FnMut(&AnyMessage<'_>, &mut FakeOutput) + Send;
 type OnWait = dyn FnMut(&mut FakeOutput) + Send;
 
-/// FakeDevice device. It answers `GetFrontEnd` by itself. Its clock advances with bytes received and time waited.
+/// Fake device. It answers `GetFrontEnd` by itself. Its clock advances with bytes received and time waited.
 pub struct FakeDevice {
     deframer: Deframer,
     sent: FakeOutput,

@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-use super::FrameSink;
+use super::{FrameAligner, FrameSink};
 
 /// Passes whole frames to a sink. An error of the sink ends the recording and is kept until it is read.
 #[derive(Default)]
@@ -12,15 +12,14 @@ pub struct FrameTee {
     failure: Option<io::Error>,
     /// Set if the last byte was within a frame.
     mid_frame: bool,
-    /// Set once a frame boundary was seen; a frame whose beginning was not recorded is skipped.
-    in_step: bool,
+    aligner: FrameAligner,
 }
 
 impl FrameTee {
     /// Copies to `sink` from the next frame on.
     pub fn open(&mut self, sink: Box<dyn FrameSink>) {
         self.sink = Some(sink);
-        self.in_step = !self.mid_frame;
+        self.aligner = FrameAligner::new(self.mid_frame);
     }
 
     /// Returns the error that ended the recording, once.
@@ -60,21 +59,14 @@ impl FrameTee {
         }
     }
 
-    fn feed(&mut self, at: Duration, mut bytes: &[u8]) -> io::Result<()> {
+    fn feed(&mut self, at: Duration, bytes: &[u8]) -> io::Result<()> {
         let Some(sink) = &mut self.sink else {
             return Ok(());
         };
-        if !self.in_step {
-            let Some(end) = bytes.iter().position(|&b| b == 0) else {
-                return Ok(());
-            };
-            self.in_step = true;
-            bytes = &bytes[end + 1..];
+        match self.aligner.whole_frames(bytes) {
+            [] => Ok(()),
+            whole => sink.received(at, whole),
         }
-        if bytes.is_empty() {
-            return Ok(());
-        }
-        sink.received(at, bytes)
     }
 }
 

@@ -20,6 +20,7 @@ pub mod error;
 #[cfg(test)]
 mod fake;
 mod flood;
+mod frame_aligner;
 mod frame_tee;
 mod granted_power;
 mod off;
@@ -42,6 +43,7 @@ pub use client::{Client, KEEPALIVE_PERIOD};
 pub use counters::ClientCounters;
 pub use device_spec::DeviceSpec;
 pub use error::LinkError;
+pub use frame_aligner::FrameAligner;
 pub use granted_power::GrantedPower;
 pub use printable::printable_hello;
 pub use receiver::DeviceEvent;

@@ -10,7 +10,7 @@ use ihd_shared::wire::messages::ResendWindow;
 
 use super::assembler::UnfinishedWindow;
 
-/// PartialPayload in one batch of requests: half of what the device's answer queue and the host's buffer have room for.
+/// Pieces in one batch of requests: half of what the device's answer queue and the host's buffer have room for.
 pub const PIECES_PER_BATCH: usize = 4;
 
 /// Silence before each batch of requests. The longest is far below the time for which a device keeps a window.

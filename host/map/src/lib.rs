@@ -1,7 +1,7 @@
 //! Map of one pot: R and L with their deviations at every frequency and current, from a few operating points.
 //!
 //! ```text
-//! window ─► R(I), L(I) ─► Curve ─► PotMap ─► physics fitted + misfit ─► Cells of a lookup, each R, L ± σ and age
+//! window ─► R(I), L(I) ─► CurrentCurve ─► PotMap ─► physics fitted + misfit ─► Cells of a lookup, each R, L ± σ and age
 //!                         curve.rs pot_map.rs pot_fit.rs, posterior.rs
 //! ```
 //!

@@ -29,6 +29,18 @@ pub enum DeviceState {
 }
 
 impl DeviceState {
+    /// All states.
+    pub const ALL: [Self; 8] = [
+        Self::Searching,
+        Self::Connected,
+        Self::WaitingForPot,
+        Self::Learning,
+        Self::Idle,
+        Self::Faulted,
+        Self::Suspended,
+        Self::Incompatible,
+    ];
+
     /// Returns the name for logs and terminals, which is that of the API.
     pub fn as_str(self) -> &'static str {
         match self {

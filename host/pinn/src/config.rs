@@ -117,7 +117,7 @@ pub struct PinnConfig {
     pub max_iterations: usize,
     /// Most alternations between the VI branch and the RL-MLP.
     pub outer_passes: usize,
-    /// Limit of the mean relative change of R and L, the larger, for convergence: over 5 steps of Levenberg-Marquardt, 200 of
+    /// Limit of the mean relative change of R and L, the larger, for convergence: over 2 steps of Levenberg-Marquardt, 200 of
     /// Adam, 200 epochs with a VI-MLP, and over a pass; 0 never. `hybrid` uses four tenths of the standard deviation that
     /// noise would leave for a constant load if that is more.
     pub tolerance: f64,

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use ihd_signal::interpolation::linear;
 use nalgebra::Complex;
 use serde::{Deserialize, Serialize};
 
@@ -132,13 +133,13 @@ impl Identification {
     /// R at `t_s` seconds after the mains zero crossing, ohm.
     #[must_use]
     pub fn r_at(&self, t_s: f64) -> f64 {
-        interpolated(&self.t_s, &self.r_ohm, t_s)
+        linear(&self.t_s, &self.r_ohm, t_s).unwrap_or(f64::NAN)
     }
 
     /// L at `t_s` seconds after the mains zero crossing, H.
     #[must_use]
     pub fn l_at(&self, t_s: f64) -> f64 {
-        interpolated(&self.t_s, &self.l_h, t_s)
+        linear(&self.t_s, &self.l_h, t_s).unwrap_or(f64::NAN)
     }
 
     /// Means of sigma/R and sigma/L over the window in %, weighted with the squared current, which determines the power. `None` if
@@ -157,19 +158,6 @@ impl Identification {
                 mean(&self.l_sigma_h, &self.l_h),
             )
         })
-    }
-}
-
-/// Interpolates linearly between the points; constant beyond them.
-fn interpolated(t_s: &[f64], x: &[f64], at_s: f64) -> f64 {
-    let next = t_s.partition_point(|t| *t <= at_s);
-    match (next.checked_sub(1), t_s.get(next)) {
-        (Some(k), Some(after)) => {
-            let share = (at_s - t_s[k]) / (after - t_s[k]);
-            x[k] + share * (x[next] - x[k])
-        }
-        (Some(k), None) => x[k],
-        (None, _) => x.first().copied().unwrap_or(f64::NAN),
     }
 }
 

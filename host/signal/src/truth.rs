@@ -3,6 +3,7 @@
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 
 use crate::Load;
+use crate::interpolation::linear;
 
 /// Harmonic orders of the switching frequency that are measured; a half-bridge has no even ones.
 pub const ORDERS: [usize; 4] = [1, 3, 5, 7];
@@ -47,16 +48,8 @@ impl Truth {
     /// R in ohm and L in henry at a time after the zero crossing, linear between the points and constant beyond them; `None`
     /// if there are no points.
     pub fn at(&self, t_s: f64) -> Option<(f64, f64)> {
-        let last = self.t_s.len().checked_sub(1)?;
-        let above = self.t_s.partition_point(|&t| t < t_s);
-        if above == 0 || above > last {
-            let k = above.min(last);
-            return Some((self.r_ohm[k], self.l_h[k]));
-        }
-        let (t0, t1) = (self.t_s[above - 1], self.t_s[above]);
-        let w = (t_s - t0) / (t1 - t0);
-        let between = |x: &[f64]| x[above - 1] + w * (x[above] - x[above - 1]);
-        Some((between(&self.r_ohm), between(&self.l_h)))
+        let at = |values: &[f64]| linear(&self.t_s, values, t_s);
+        Some((at(&self.r_ohm)?, at(&self.l_h)?))
     }
 }
 

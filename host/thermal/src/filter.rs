@@ -137,11 +137,6 @@ impl ThermalFilter {
         (self.x[0], self.p[(0, 0)].max(0.0).sqrt())
     }
 
-    /// Rate of the rise in K/s.
-    pub fn rate_k_per_s(&self) -> f64 {
-        self.x[1]
-    }
-
     /// Lift since placement in mm and its standard deviation.
     pub fn lift_mm(&self) -> (f64, f64) {
         (self.x[2], self.p[(2, 2)].max(0.0).sqrt())

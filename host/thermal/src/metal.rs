@@ -1,6 +1,5 @@
 //! Effect of heat on a pot's metal.
 
-use ihd_map::PotModel;
 use serde::{Deserialize, Serialize};
 
 /// Law of resistivity times saturation over temperature, both relative to their values at the start.
@@ -48,16 +47,6 @@ impl MetalLaw {
     /// Relative standard deviation of the effect of heat within a class: steels differ by as much in the slope of their
     /// resistivity.
     pub const SPREAD: f64 = 0.12;
-
-    /// Returns the class whose metal is nearest to a pot's.
-    pub fn of(pot: &PotModel) -> Self {
-        let off = |law: &Self| (pot.ln_alpha - law.ln_alpha).abs();
-        if off(&Self::CAST_IRON) < off(&Self::FERRITIC) {
-            Self::CAST_IRON
-        } else {
-            Self::FERRITIC
-        }
-    }
 
     /// Change of ln s by a rise in kelvin, and its slope in 1/K. s² ∝ resistivity · saturation, and the saturation falls as
     /// 1 − (rise/Curie rise)², so that the slope changes sign near 200 K.

@@ -1,7 +1,7 @@
 //! From a window to the lookup on the device, and replay of a capture through a device's own firmware.
 //!
 //! ```text
-//! device ─► Window ─► Segment ─► network ─► gate ─► Curve ─► PotMap ─► lookup ─► device
+//! device ─► Window ─► Segment ─► network ─► gate ─► CurrentCurve ─► PotMap ─► lookup ─► device
 //!           (link)    (link)     learning/ ─────────────────► (map)    lookup/   trainer/device.rs
 //! ```
 //!

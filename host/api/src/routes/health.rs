@@ -7,7 +7,6 @@ use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use ihd_daemon::Daemon;
-use ihd_daemon::event_bus::now_ms;
 use ihd_model::{Health, StoreFailure};
 use tokio::sync::Mutex;
 use tokio::time::Instant;
@@ -33,7 +32,7 @@ impl HealthCache {
         }
         let responds = daemon.upkeep().store_responds().await;
         let figures = daemon.upkeep().figures();
-        let silent = || (!responds).then(|| StoreFailure::silent(now_ms()));
+        let silent = || (!responds).then(|| StoreFailure::silent(daemon.view().now_ms()));
         let store_failure = figures.store_failure.or_else(silent);
         let health = Health {
             service: "ihd".into(),

@@ -14,7 +14,6 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::sse::{Event, Sse};
 use ihd_daemon::LiveTap;
-use ihd_daemon::event_bus::now_ms;
 use ihd_model::{
     DaemonEvent, DeviceReport, EventKind, LiveTelemetry, MissedEvents, Problem, WindowCounts,
 };
@@ -182,6 +181,14 @@ impl Subscriber {
         self.outbox.is_pending() || silent || self.outbox.devices.is_none()
     }
 
+    /// Returns telemetry without devices.
+    fn empty_telemetry(&self) -> LiveTelemetry {
+        LiveTelemetry {
+            at_ms: self.app.daemon.view().now_ms(),
+            ..LiveTelemetry::default()
+        }
+    }
+
     /// Returns the next event, made from current data; `None` if none is due.
     fn next(&mut self) -> Option<Event> {
         if let Some(devices) = self.devices() {
@@ -204,7 +211,7 @@ impl Subscriber {
             return json("notice", &*notice);
         }
         (self.outbox.silent_for(now) >= MAX_SILENCE)
-            .then(|| json("telemetry", &empty_telemetry()))?
+            .then(|| json("telemetry", &self.empty_telemetry()))?
     }
 
     /// Returns the reports if they are due: first, after a change, and every [`DEVICES_PERIOD`]; at most once per interval, so that frequent
@@ -239,14 +246,6 @@ fn stable_fields(device: &DeviceReport) -> DeviceReport {
         recording.since_s = 0.0;
     }
     device
-}
-
-/// Returns telemetry without devices.
-fn empty_telemetry() -> LiveTelemetry {
-    LiveTelemetry {
-        at_ms: now_ms(),
-        ..LiveTelemetry::default()
-    }
 }
 
 fn ticks(every: Duration) -> Interval {

@@ -213,24 +213,6 @@ fn server(text: &mut Exposition, app: &App) {
     }
 }
 
-const STATES: [DeviceState; 8] = [
-    DeviceState::Searching,
-    DeviceState::Connected,
-    DeviceState::WaitingForPot,
-    DeviceState::Learning,
-    DeviceState::Idle,
-    DeviceState::Faulted,
-    DeviceState::Suspended,
-    DeviceState::Incompatible,
-];
-
-fn state_name(state: DeviceState) -> String {
-    match serde_json::to_value(state) {
-        Ok(serde_json::Value::String(name)) => name,
-        _ => String::new(),
-    }
-}
-
 fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
     text.family(
         "device_state",
@@ -238,11 +220,8 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "gauge",
     );
     for device in devices {
-        for state in STATES {
-            let labels = [
-                ("device", device.name.as_str()),
-                ("state", &state_name(state)),
-            ];
+        for state in DeviceState::ALL {
+            let labels = [("device", device.name.as_str()), ("state", state.as_str())];
             let value = f64::from(u8::from(device.state == state));
             text.sample("device_state", &labels, value);
         }

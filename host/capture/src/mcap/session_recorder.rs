@@ -62,7 +62,7 @@ struct Recording {
     half_cycle_ends: VecDeque<(u32, f64)>,
 }
 
-/// HalfCycleGrid of the device's half-cycles in the capture's time.
+/// Grid of the device's half-cycles in the capture's time.
 #[derive(Clone, Copy)]
 struct HalfCycleGrid {
     half_cycle: u32,

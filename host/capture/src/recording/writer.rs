@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use ihd_link::FrameSink;
+use ihd_link::{FrameAligner, FrameSink};
 use ihd_shared::wire::messages::{FrontEnd, Hello};
 
 use super::ring::ByteChunk;
@@ -214,7 +214,7 @@ fn write(
     let first = before.iter().find(|chunk| chunk.from_device);
     let mut file = AlignedFile {
         file: Box::new(file),
-        in_step: !first.map_or(mid_frame, |first| first.mid_frame),
+        aligner: FrameAligner::new(first.map_or(mid_frame, |first| first.mid_frame)),
     };
     // The error names the file.
     let text = |e: std::io::Error| e.to_string();
@@ -266,7 +266,7 @@ fn create(
 /// File that begins with a whole frame of the device.
 struct AlignedFile {
     file: Box<SessionRecorder>,
-    in_step: bool,
+    aligner: FrameAligner,
 }
 
 impl AlignedFile {
@@ -274,17 +274,9 @@ impl AlignedFile {
         if !chunk.from_device {
             return self.file.sent(chunk.at, &chunk.bytes);
         }
-        let mut bytes = &chunk.bytes[..];
-        if !self.in_step {
-            let Some(end) = bytes.iter().position(|&b| b == 0) else {
-                return Ok(());
-            };
-            self.in_step = true;
-            bytes = &bytes[end + 1..];
-        }
-        match bytes.is_empty() {
-            true => Ok(()),
-            false => self.file.received(chunk.at, bytes),
+        match self.aligner.whole_frames(&chunk.bytes) {
+            [] => Ok(()),
+            whole => self.file.received(chunk.at, whole),
         }
     }
 }

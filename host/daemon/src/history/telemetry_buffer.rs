@@ -1,12 +1,13 @@
 //! Buffer of telemetry, by seconds, between devices and store.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 use ihd_shared::wire::messages::Telemetry;
 use ihd_store::{Spread, TelemetrySecond, TelemetrySpan};
 
 use crate::live::ring::heats;
+use crate::locking::lock;
 
 /// Capacity in seconds waiting for the store: ten minutes of 32 devices, some 5 MB.
 const MAX_WAITING: usize = 19_200;
@@ -72,7 +73,7 @@ fn span(t: &Telemetry, at_s: i64) -> TelemetrySpan {
 impl TelemetryBuffer {
     fn lock(&self) -> MutexGuard<'_, Inner> {
         // Poisoning is ignored: no lock scope leaves a half-written value.
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.inner)
     }
 
     /// Adds a half-cycle of a device at this time in milliseconds since 1970, UTC.

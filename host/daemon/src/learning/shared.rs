@@ -1,7 +1,7 @@
 //! State that the learner shares with its threads, under one lock.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, MutexGuard};
 
 use ihd_link::Window;
 use ihd_train::Learning;
@@ -12,6 +12,7 @@ use super::figures::Meter;
 use super::job::LearnResult;
 use super::queue::{DeviceLearning, Queue};
 use super::workers::WorkerRecords;
+use crate::locking::lock;
 
 /// Function by which a thread learns from a window; replaced in tests.
 pub(super) type ObserveFn = dyn Fn(&mut Learning, &Window) -> WindowOutcome + Send + Sync;
@@ -36,7 +37,7 @@ pub(super) struct State {
 impl Shared {
     /// Locks the state. Poisoning is ignored: nothing that can panic runs while it is held.
     pub(super) fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -9,13 +9,14 @@ use tokio::time::Instant;
 
 use super::ring::{Extent, heats};
 use crate::device_record::DeviceRecord;
-use crate::event_bus::now_ms;
+use crate::machine::Machine;
 use crate::supervisor::Devices;
 use crate::tank;
 
 /// Tap of the live telemetry for one reader.
 pub struct LiveTap {
     devices: Arc<Devices>,
+    machine: Machine,
     /// Count of half-cycles at the last poll, by device.
     seen: BTreeMap<String, u64>,
     interval: Option<Duration>,
@@ -24,12 +25,13 @@ pub struct LiveTap {
 
 impl LiveTap {
     /// Creates a tap of telemetry from now on.
-    pub(crate) fn new(devices: Arc<Devices>) -> Self {
+    pub(crate) fn new(devices: Arc<Devices>, machine: Machine) -> Self {
         let records = devices.all().into_iter().map(|handle| handle.record);
         let seen = records.map(|record| (record.name.clone(), record.ring().half_cycles()));
         Self {
             seen: seen.collect(),
             devices,
+            machine,
             interval: None,
             last_poll: Instant::now(),
         }
@@ -67,8 +69,10 @@ impl LiveTap {
                 devices.insert(record.name.clone(), device);
             }
         }
-        let at_ms = now_ms();
-        LiveTelemetry { at_ms, devices }
+        LiveTelemetry {
+            at_ms: self.machine.now_ms(),
+            devices,
+        }
     }
 }
 

@@ -32,7 +32,8 @@ impl CellAges {
         }
     }
 
-    pub(super) fn seconds(&self, now_ms: i64) -> Vec<Vec<Option<f64>>> {
+    /// Returns the age of each cell in seconds at a time; `None` for one without a result.
+    pub(super) fn at(&self, now_ms: i64) -> Vec<Vec<Option<f64>>> {
         let age = |at_ms: &Option<i64>| at_ms.map(|at_ms| (now_ms - at_ms).max(0) as f64 * 1e-3);
         let rows = self.at_ms.iter();
         rows.map(|row| row.iter().map(age).collect()).collect()

@@ -3,16 +3,15 @@
 use std::f64::consts::FRAC_PI_2;
 
 use ihd_model::Map;
-use ihd_shared::lookup::grid::{CURRENTS, F_MAX_HZ, F_MIN_HZ, FREQUENCIES, I_BEND_MA, I_MAX_MA};
+use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
+use ihd_signal::interpolation::linear;
 use ihd_store::{Certainty, LookupRow, LookupState};
 
 use super::View;
-use super::cell_ages::CellAges;
 use super::stored_lookup::newest;
 use crate::error::DaemonError;
-use crate::event_bus::now_ms;
 use crate::locking::lock;
 
 impl View {
@@ -48,7 +47,8 @@ impl View {
             Ok((version, row, certainty, ages))
         });
         let (version, row, certainty, ages) = read.await?;
-        let map = map(version, row.as_ref(), certainty.as_ref(), &ages);
+        let age_s = ages.at(self.machine.now_ms());
+        let map = map(version, row.as_ref(), certainty.as_ref(), age_s);
         lock(&self.ages).insert(device.to_owned(), ages);
         Ok(map)
     }
@@ -58,7 +58,7 @@ fn map(
     version: u32,
     row: Option<&LookupRow>,
     certainty: Option<&Certainty>,
-    ages: &CellAges,
+    age_s: Vec<Vec<Option<f64>>>,
 ) -> Option<Map> {
     if version == 0 {
         let map = Map {
@@ -67,7 +67,7 @@ fn map(
             why: "built into the firmware".to_owned(),
             ..Map::default()
         };
-        return Some(fill(map, &prior(), ages));
+        return Some(fill(map, &prior(), age_s));
     }
     let row = row?;
     // The store checks lookups before writing them.
@@ -86,10 +86,10 @@ fn map(
         confidence: certainty.map(Certainty::confidence),
         ..Map::default()
     };
-    Some(fill(map, &lookup, ages))
+    Some(fill(map, &lookup, age_s))
 }
 
-fn fill(map: Map, lookup: &RlLookup, ages: &CellAges) -> Map {
+fn fill(map: Map, lookup: &RlLookup, age_s: Vec<Vec<Option<f64>>>) -> Map {
     let f_sw_hz: Vec<f64> = (0..FREQUENCIES).map(frequency_hz).collect();
     let i_a: Vec<f64> = (0..CURRENTS).map(current_a).collect();
     let table = |value: &dyn Fn(usize, usize) -> f64| -> Vec<Vec<f64>> {
@@ -103,7 +103,7 @@ fn fill(map: Map, lookup: &RlLookup, ages: &CellAges) -> Map {
         l_h: table(&|f, i| f64::from(lookup.l[f][i]) * HENRY_PER_CODE),
         power_w: table(&|f, i| mean_power_w(&i_a, i, |column| r_ohm(f, column))),
         observed: (0..FREQUENCIES).map(observed).collect(),
-        age_s: ages.seconds(now_ms()),
+        age_s,
         f_sw_hz,
         i_a,
         ..map
@@ -117,39 +117,25 @@ const POWER_POINTS: usize = 32;
 /// ohm, by column, is linear between the columns.
 fn mean_power_w(i_a: &[f64], column: usize, r_ohm: impl Fn(usize) -> f64) -> f64 {
     let crest_a = i_a[column];
+    let r_ohm: Vec<f64> = (0..i_a.len()).map(r_ohm).collect();
     let power = |point: usize| {
         let angle = FRAC_PI_2 * (point as f64 + 0.5) / POWER_POINTS as f64;
         let now_a = crest_a * angle.sin();
-        let above = i_a.partition_point(|x| *x < now_a).clamp(1, i_a.len() - 1);
-        let share = (now_a - i_a[above - 1]) / (i_a[above] - i_a[above - 1]);
-        let r = r_ohm(above - 1) + share * (r_ohm(above) - r_ohm(above - 1));
-        0.5 * r * now_a * now_a
+        0.5 * linear(i_a, &r_ohm, now_a).unwrap_or(f64::NAN) * now_a * now_a
     };
     (0..POWER_POINTS).map(power).sum::<f64>() / POWER_POINTS as f64
-}
-
-/// Returns the switching frequency of a row in hertz: the grid is uniform in ln f.
-fn frequency_hz(row: usize) -> f64 {
-    let (least, largest) = (f64::from(F_MIN_HZ), f64::from(F_MAX_HZ));
-    least * (largest / least).powf(row as f64 / (FREQUENCIES - 1) as f64)
-}
-
-/// Returns the current amplitude of a column in ampere: the grid is uniform in ln(1 + I / I_bend).
-fn current_a(column: usize) -> f64 {
-    let (bend, largest) = (f64::from(I_BEND_MA) * 1e-3, f64::from(I_MAX_MA) * 1e-3);
-    let share = column as f64 / (CURRENTS - 1) as f64;
-    bend * ((1.0 + largest / bend).powf(share) - 1.0)
 }
 
 #[cfg(test)]
 mod tests {
     use ihd_store::LastAccepted;
 
+    use super::super::cell_ages::CellAges;
     use super::*;
 
     #[test]
     fn cells_lie_where_the_firmware_interpolates_them() {
-        let map = map(0, None, None, &CellAges::default()).unwrap();
+        let map = map(0, None, None, CellAges::default().at(0)).unwrap();
         assert_eq!(
             (map.state.as_str(), map.f_sw_hz.len(), map.i_a.len()),
             ("prior", 8, 17)
@@ -167,7 +153,7 @@ mod tests {
                 assert!(!map.observed[f][i] && map.age_s[f][i].is_none());
             }
         }
-        assert!(super::map(3, None, None, &CellAges::default()).is_none());
+        assert!(super::map(3, None, None, Vec::new()).is_none());
     }
 
     /// Under a rectified mains the mean of ½RÎ² is half of that at the crest where R is constant, and more than that where R is
@@ -198,7 +184,7 @@ mod tests {
             accepted(5, 500, 45_000, 79.0),
         ]);
         assert_eq!(ages.last, 7);
-        let age = ages.seconds(2_000);
+        let age = ages.at(2_000);
         for (f, row) in age.iter().enumerate() {
             for (i, age) in row.iter().enumerate() {
                 let expected = match (f, i) {
@@ -214,6 +200,6 @@ mod tests {
             accepted(8, i64::MAX, u32::MAX, f64::INFINITY),
             accepted(9, 0, 0, -1.0),
         ]);
-        assert_eq!(ages.seconds(0)[7][16], Some(0.0));
+        assert_eq!(ages.at(0)[7][16], Some(0.0));
     }
 }

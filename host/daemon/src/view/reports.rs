@@ -18,7 +18,7 @@ impl View {
 
     /// Returns a tap of the devices' telemetry, polled at the rate of its reader.
     pub fn live(&self) -> LiveTap {
-        LiveTap::new(Arc::clone(&self.devices))
+        LiveTap::new(Arc::clone(&self.devices), self.machine.clone())
     }
 
     /// Returns the reports of all devices, sorted by name.

@@ -106,8 +106,8 @@ async fn a_fault_is_in_the_file_with_what_was_before_and_after() {
     );
     let (half_cycles, faults, trigger_s) =
         times(&daemon.recordings().folder().join(&listed[0].file));
-    // The recorder counts real time, and the hob on a loaded machine stays behind it or catches up; recording/tests.rs checks
-    // the exact lengths.
+    // The recorder counts real time, and the hob on a loaded machine stays behind it or catches up; the tests of ihd-capture's
+    // recorder check the exact lengths.
     assert!(trigger_s > 0.0, "{trigger_s}");
     assert!(
         (faults[0].0 - trigger_s).abs() < 0.1 && faults[0].1 == 22,

@@ -47,21 +47,21 @@ pub fn fit(
     let count = intervals(settings.impedance_intervals, duration_s, segment);
     let points = PER_INTERVAL * count;
     let at = |k: usize| (k as f64 + 0.5) / points as f64 * duration_s;
-    let (mut cross, mut square, mut largest) = (0.0, 0.0, 0.0f64);
+    let (mut v_energy, mut i_energy, mut i_energy_max) = (0.0, 0.0, 0.0f64);
     for k in 0..points {
         let p = phasors.at(at(k));
-        cross += p.v.norm_sqr();
-        square += p.i.norm_sqr();
-        largest = largest.max(p.i.norm_sqr());
+        v_energy += p.v.norm_sqr();
+        i_energy += p.i.norm_sqr();
+        i_energy_max = i_energy_max.max(p.i.norm_sqr());
     }
-    let z2 = cross / square;
+    let z2 = v_energy / i_energy;
     let spline = RationalSpline::new(
         CubicSpline::new(count, duration_s),
         |tau_s| phasors.at(tau_s).i.norm(),
-        largest.sqrt(),
+        i_energy_max.sqrt(),
     );
     // Variance of one component of V − Z·I, shared by the points of an interval.
-    let floor = NOISE_FLOOR * NOISE_FLOOR * cross / points as f64;
+    let floor = NOISE_FLOOR * NOISE_FLOOR * v_energy / points as f64;
     let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
     let variance = 2.0 * white / phasors.samples_per_interval + floor;
     let weight = 1.0 / (variance * PER_INTERVAL as f64);
@@ -76,7 +76,8 @@ pub fn fit(
     let bends: Vec<f64> = (1..spline.functions().saturating_sub(1))
         .map(|j| {
             let tau_s = (j as f64 - 1.0) / (spline.functions() as f64 - 3.0).max(1.0) * duration_s;
-            let share = (largest / phasors.at(tau_s).i.norm_sqr().max(1e-9 * largest)).powf(0.75);
+            let share =
+                (i_energy_max / phasors.at(tau_s).i.norm_sqr().max(1e-9 * i_energy_max)).powf(0.75);
             (settings.bend * share).min(MOST_BEND) * z2.sqrt()
         })
         .collect();
@@ -85,16 +86,16 @@ pub fn fit(
     }
     let solution = problem.solve()?;
     let ripple = solution.ripple(&bends);
-    let left: Vec<f64> = (0..points)
-        .map(|k| solution.left(&spline, phasors, at(k), omega))
+    let residuals: Vec<f64> = (0..points)
+        .map(|k| solution.residual(&spline, phasors, at(k), omega))
         .collect();
     let periods = (duration_s * segment.f_sw_hz).floor().max(1.0) as usize;
     for k in 0..periods {
         let tau_s = (k as f64 + 0.5) / segment.f_sw_hz;
         let (found, sigma) = solution.at(&spline, tau_s);
         let nearest = ((tau_s / duration_s * points as f64) as usize).min(points - 1);
-        let near =
-            &left[nearest.saturating_sub(PER_INTERVAL)..(nearest + PER_INTERVAL + 1).min(points)];
+        let near = &residuals
+            [nearest.saturating_sub(PER_INTERVAL)..(nearest + PER_INTERVAL + 1).min(points)];
         let beyond = near.iter().sum::<f64>() / near.len() as f64 - variance;
         let z = nalgebra::Complex::new(found[0], found[1]);
         let misfit = phasors.excess.misfit(tau_s, z);
@@ -103,7 +104,7 @@ pub fn fit(
         let ripple = ripple.square_at(tau_s / duration_s);
         let square = phasors.at(tau_s).i.norm_sqr();
         // Half of an aliased harmonic is in phase with the current.
-        let aliased = 0.5 * phasors.aliased_v(tau_s).powi(2) / square.max(1e-9 * largest);
+        let aliased = 0.5 * phasors.aliased_v(tau_s).powi(2) / square.max(1e-9 * i_energy_max);
         let sigma = sigma.map(|s| (s * s * chi2 + ripple + aliased).sqrt());
         let relative = [sigma[0] / found[0], sigma[1] / found[1]];
         residual.add(square, chi2, relative);
@@ -239,7 +240,13 @@ impl Solution {
     }
 
     /// Mean square of one component of V − R·I − ωL·(jI + I'/ω) at a time, in V².
-    fn left(&self, spline: &RationalSpline, phasors: &SplineFit, tau_s: f64, omega: f64) -> f64 {
+    fn residual(
+        &self,
+        spline: &RationalSpline,
+        phasors: &SplineFit,
+        tau_s: f64,
+        omega: f64,
+    ) -> f64 {
         let (p, ([r, x], _)) = (phasors.at(tau_s), self.at(spline, tau_s));
         let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
         0.5 * (p.v - p.i * r - d * x).norm_sqr()

@@ -1,7 +1,7 @@
 //! Learning of one device's load, window by window, until a lookup is worth pushing.
 //!
 //! ```text
-//! Window ─► fit_window ─► gate ─► Curve ─► PotMap ─► LookupBuilder ─► lookup to push
+//! Window ─► fit_window ─► gate ─► CurrentCurve ─► PotMap ─► LookupBuilder ─► lookup to push
 //!           network.rs    gate.rs          ihd-map   lookup_builder.rs, significance.rs, version.rs
 //! ```
 //!

@@ -25,7 +25,7 @@ const MOST_PAIRS: usize = 1 << 18;
 /// Note of a recording: time of its trigger, in seconds after its beginning.
 const TRIGGER_S: &str = "trigger_s";
 
-/// ExportLimits of an export.
+/// Limits of an export.
 #[derive(Debug)]
 pub struct ExportLimits<'a> {
     /// Limit of bytes written, before compression.

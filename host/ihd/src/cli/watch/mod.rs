@@ -14,12 +14,11 @@ mod trend_charts;
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use clap::Args;
 use ihd_api::client::ClientError;
-use ihd_daemon::event_bus::now_ms;
 use ihd_model::CommandError;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event};
@@ -98,6 +97,12 @@ impl WatchArgs {
         ratatui::try_restore().context("cannot restore this terminal")?;
         ended
     }
+}
+
+/// Time of this terminal in milliseconds since 1970, UTC.
+fn now_ms() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| since.as_millis() as i64)
 }
 
 fn watch(
