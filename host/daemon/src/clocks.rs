@@ -24,6 +24,19 @@ impl SuspendDetector {
         }
     }
 
+    /// Leaves out the time since the last comparison, in which this process worked or waited for its own work. A difference between the
+    /// clocks in it still counts.
+    pub fn leave_out_work(&mut self, machine: &Machine) {
+        self.leave_out_until(machine.uptime());
+    }
+
+    fn leave_out_until(&mut self, uptime: Duration) {
+        // In whole milliseconds, as the wall clock counts.
+        let worked_ms = uptime.saturating_sub(self.uptime).as_millis() as u64;
+        self.uptime += Duration::from_millis(worked_ms);
+        self.wall_ms = self.wall_ms.saturating_add_unsigned(worked_ms);
+    }
+
     /// Compares the clocks, to be called several times per second. Returns the time without running if it exceeds 5 s.
     pub fn poll(&mut self, machine: &Machine) -> Option<Duration> {
         self.poll_at(machine.uptime(), machine.now_ms())
@@ -146,6 +159,20 @@ mod tests {
             let mut detector = at(s(100));
             let found = detector.poll_at(s(100 + awake_s), 1_000 * wall_s);
             assert_eq!(found, slept, "{awake_s} s awake, {wall_s} s by the wall");
+        }
+    }
+
+    #[test]
+    fn own_work_is_no_suspend_and_a_suspend_amid_it_is() {
+        let s = Duration::from_secs;
+        for (wall_s, slept) in [(60, None), (90, Some(s(31)))] {
+            let (uptime, wall_ms) = (s(100), 0);
+            let mut detector = SuspendDetector { uptime, wall_ms };
+            // One minute of work, then a wait of a second.
+            detector.leave_out_until(s(160));
+            let found = detector.poll_at(s(161), 1_000 * (wall_s + 1));
+            assert_eq!(found, slept, "{wall_s} s by the wall");
+            assert_eq!(detector.poll_at(s(170), 1_000 * (wall_s + 10)), Some(s(9)));
         }
     }
 

@@ -118,7 +118,6 @@ impl Daemon {
                 machine: machine.clone(),
                 devices: Arc::clone(&devices),
                 telemetry: Arc::clone(&telemetry),
-                store: store.clone(),
                 folder: config.store.clone(),
                 readers: Semaphore::new(READERS),
                 ages: Mutex::new(BTreeMap::new()),

@@ -51,8 +51,13 @@ impl Contact {
         }
     }
 
-    /// Returns the time without running of this machine or process if it exceeds 5 s; to be called several times per second.
-    pub fn poll_suspend(&mut self, machine: &Machine) -> Option<Duration> {
+    /// Processes the begin of a wait of the device's task, of 0.1 s at most.
+    pub fn begin_wait(&mut self, machine: &Machine) {
+        self.clocks.leave_out_work(machine);
+    }
+
+    /// Processes its end. Returns the time without running of this machine or process if it exceeds 5 s.
+    pub fn end_wait(&mut self, machine: &Machine) -> Option<Duration> {
         self.clocks.poll(machine)
     }
 

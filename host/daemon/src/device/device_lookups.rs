@@ -13,6 +13,7 @@ use super::lookup_push::{LookupPush, PushStep, UnderWay};
 use super::lookup_rows::LookupRows;
 use super::reconcile::{Reconcile, next_version, reconcile};
 use super::request::ReplySender;
+use super::store_wait::StoreWait;
 use crate::context::Context;
 use crate::device_record::DeviceRecord;
 use crate::learning::LookupToPush;
@@ -30,13 +31,13 @@ pub struct DeviceLookups<'a> {
 
 impl<'a> DeviceLookups<'a> {
     /// Creates the lookups of a device that the store does not know yet.
-    pub fn new(record: &'a Arc<DeviceRecord>, context: &'a Context) -> Self {
+    pub fn new(record: &'a Arc<DeviceRecord>, context: &'a Context, wait: Arc<StoreWait>) -> Self {
         Self {
             record,
             context,
             rows: LookupRows {
                 name: &record.name,
-                context,
+                wait,
                 device_id: None,
             },
             push: LookupPush::default(),
@@ -337,8 +338,11 @@ impl<'a> DeviceLookups<'a> {
         Ok(())
     }
 
-    /// Updates the lookup versions of the report from the store.
+    /// Updates the lookup versions of the report from the store, unless it was too slow in this step.
     async fn update_report(&mut self) {
+        if self.rows.wait.is_over() {
+            return;
+        }
         let Some(rows) = self.rows.read().await else {
             return;
         };

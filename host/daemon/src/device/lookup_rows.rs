@@ -1,11 +1,13 @@
 //! Rows of one device's lookups in the store.
 
+use std::sync::Arc;
+
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{Certainty, DeviceId, LookupRow};
 
 use super::reconcile::previous_lookup;
-use crate::context::Context;
+use super::store_wait::StoreWait;
 use crate::learning::LookupToPush;
 use crate::view::stored_lookup::newest;
 
@@ -13,8 +15,8 @@ use crate::view::stored_lookup::newest;
 pub struct LookupRows<'a> {
     /// Name of the device.
     pub name: &'a str,
-    /// Services of the daemon.
-    pub context: &'a Context,
+    /// Waits of the device's task for the store.
+    pub wait: Arc<StoreWait>,
     /// Row of the device; `None` until it is stored.
     pub device_id: Option<DeviceId>,
 }
@@ -23,7 +25,7 @@ impl LookupRows<'_> {
     /// Returns the rows, oldest first; `None` if the store does not respond.
     pub async fn read(&self) -> Option<Vec<LookupRow>> {
         let device = self.device_id?;
-        let rows = self.context.in_store(move |store| store.lookups(device));
+        let rows = self.wait.run(move |store| store.lookups(device));
         rows.await
     }
 
@@ -46,9 +48,7 @@ impl LookupRows<'_> {
             None => "the store holds no lookup that was active before".to_owned(),
         })?;
         let (name, version) = (self.name.to_owned(), lookup.version);
-        let certainty = self
-            .context
-            .in_store(move |store| store.certainty(&name, version));
+        let certainty = self.wait.run(move |store| store.certainty(&name, version));
         Ok(LookupToPush {
             certainty: certainty.await.flatten(),
             lookup,
@@ -64,8 +64,8 @@ impl LookupRows<'_> {
     ) -> Option<()> {
         let (device, pending) = (self.device_id?, lookup.clone());
         let stored = self
-            .context
-            .in_store(move |store| store.pend_lookup(device, &pending, &why, certainty.as_ref()));
+            .wait
+            .run(move |store| store.pend_lookup(device, &pending, &why, certainty.as_ref()));
         stored.await
     }
 
@@ -73,8 +73,8 @@ impl LookupRows<'_> {
     pub async fn refuse(&self, version: u32, why: String) {
         let Some(device) = self.device_id else { return };
         let refused = self
-            .context
-            .in_store(move |store| store.refuse_lookup(device, version, &why));
+            .wait
+            .run(move |store| store.refuse_lookup(device, version, &why));
         let _ = refused.await;
     }
 
@@ -82,15 +82,15 @@ impl LookupRows<'_> {
     pub async fn adopt(&self, lookup: RlLookup) -> Option<()> {
         let device = self.device_id?;
         let adopted = self
-            .context
-            .in_store(move |store| store.adopt_lookup(device, &lookup));
+            .wait
+            .run(move |store| store.adopt_lookup(device, &lookup));
         adopted.await
     }
 
     /// Forgets what was learned and makes the built-in lookup the active one. Returns `None` if that is not stored.
     pub async fn reset(&self) -> Option<()> {
         let device = self.device_id?;
-        let forgotten = self.context.in_store(move |store| {
+        let forgotten = self.wait.run(move |store| {
             store.forget_learner_state(device)?;
             store.adopt_lookup(device, &prior())
         });

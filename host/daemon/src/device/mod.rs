@@ -8,6 +8,7 @@
 
 mod commands;
 mod contact;
+mod counters;
 mod device_link;
 mod device_lookups;
 mod flood_limits;
@@ -20,6 +21,7 @@ mod recording;
 mod report;
 mod request;
 mod session;
+mod store_wait;
 mod stored_session;
 pub mod sweep;
 mod task;

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_link::{AsyncClient, Client, ClientCounters, DeviceEvent, LinkError};
+use ihd_link::{AsyncClient, Client, DeviceEvent, LinkError};
 use ihd_model::{DeviceState, EventKind, RecordKind};
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::{State, Telemetry};
@@ -20,6 +20,7 @@ use super::flood_limits::FloodLimits;
 use super::pot_follower::{PotFollower, publish_change};
 use super::report::publish_lease_expired;
 use super::request::DeviceRequest;
+use super::store_wait::StoreWait;
 use super::sweep::SweepState;
 use crate::TruthFn;
 use crate::context::Context;
@@ -38,9 +39,6 @@ const OUT_OF_ORDER: u32 = 1_000;
 /// Half-cycles whose power is held until their window arrives: two seconds.
 const POWER_HISTORY: usize = 256;
 
-/// Period of retrying failed jobs of the store.
-const STORE_RETRY_PERIOD: Duration = Duration::from_secs(10);
-
 /// Shortest time between two changes of state, so that a person can follow them.
 const MIN_STATE_DURATION: Duration = Duration::from_millis(400);
 
@@ -55,6 +53,15 @@ pub enum SessionEnd {
     Suspended(String),
 }
 
+/// Cause for which a session wakes.
+enum Wake {
+    Tick,
+    /// A request; `None` once there are no more.
+    Request(Option<DeviceRequest>),
+    /// An event of the device; `None` once the link has ended.
+    Event(Option<DeviceEvent>),
+}
+
 /// Rows of a session and its device in the store.
 #[derive(Clone, Copy)]
 pub(super) struct StoredIds {
@@ -67,6 +74,8 @@ pub struct DeviceSession<'a> {
     pub(super) record: &'a Arc<DeviceRecord>,
     pub(super) context: &'a Context,
     pub(super) link: DeviceLink,
+    /// Waits for the store.
+    pub(super) store_wait: Arc<StoreWait>,
     /// Rows of the session in the store; `None` until it is stored.
     pub(super) stored: Option<StoredIds>,
     /// Sweep with the lease under which it was started.
@@ -74,8 +83,8 @@ pub struct DeviceSession<'a> {
     pub(super) lookups: DeviceLookups<'a>,
     published_half_cycle: Option<u32>,
     /// Logged jumps in the window numbering.
-    logged_jumps: u32,
-    last_store_retry: Instant,
+    pub(super) logged_jumps: u32,
+    pub(super) last_store_retry: Instant,
     pub(super) flood: FloodLimits,
     /// Last half-cycles: count, `true` if heating, power in milliwatt.
     pub(super) recent_powers: VecDeque<(u32, bool, u32)>,
@@ -92,16 +101,18 @@ impl<'a> DeviceSession<'a> {
         client: Arc<AsyncClient>,
         truth: Option<Arc<TruthFn>>,
     ) -> Self {
+        let store_wait = Arc::new(StoreWait::new(context.store.clone()));
         Self {
             record,
             context,
+            lookups: DeviceLookups::new(record, context, Arc::clone(&store_wait)),
+            store_wait,
             link: DeviceLink {
                 client,
                 contact: Contact::new(&context.machine),
             },
             stored: None,
             sweep: None,
-            lookups: DeviceLookups::new(record, context),
             published_half_cycle: None,
             logged_jumps: 0,
             last_store_retry: Instant::now(),
@@ -124,24 +135,28 @@ impl<'a> DeviceSession<'a> {
         let mut tick = tokio::time::interval(TICK);
         tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
-            let outcome = tokio::select! {
+            self.link.contact.begin_wait(&self.context.machine);
+            let wake = tokio::select! {
                 biased;
                 () = self.context.stopping() => return SessionEnd::Stopping,
                 // Ahead of requests and events, so that no flood of them delays the end of a lease.
-                _ = tick.tick() => {
+                _ = tick.tick() => Wake::Tick,
+                request = requests.recv() => Wake::Request(request),
+                event = events.recv() => Wake::Event(event),
+            };
+            self.store_wait.begin_step();
+            let outcome = match (self.check_suspend(), wake) {
+                (Err(end), _) => return end,
+                (Ok(()), Wake::Tick) => {
                     if !events.is_empty() {
                         self.link.contact.on_queued_event();
                     }
                     self.on_tick().await
                 }
-                request = requests.recv() => match request {
-                    Some(request) => self.on_request(request).await,
-                    None => return SessionEnd::Stopping,
-                },
-                event = events.recv() => match event {
-                    Some(event) => self.on_event(event).await,
-                    None => Err(self.link_end()),
-                },
+                (Ok(()), Wake::Request(Some(request))) => self.on_request(request).await,
+                (Ok(()), Wake::Request(None)) => return SessionEnd::Stopping,
+                (Ok(()), Wake::Event(Some(event))) => self.on_event(event).await,
+                (Ok(()), Wake::Event(None)) => Err(self.link_end()),
             };
             if let Err(end) = outcome {
                 return end;
@@ -149,7 +164,19 @@ impl<'a> DeviceSession<'a> {
         }
     }
 
-    fn link_end(&self) -> SessionEnd {
+    /// Ends the lease and the session if this machine or process did not run during the last wait.
+    fn check_suspend(&mut self) -> Result<(), SessionEnd> {
+        let Some(suspended) = self.link.contact.end_wait(&self.context.machine) else {
+            return Ok(());
+        };
+        self.record.lock().lease.revoke();
+        Err(SessionEnd::Suspended(format!(
+            "nothing ran here for {:.0} s",
+            suspended.as_secs_f64()
+        )))
+    }
+
+    pub(super) fn link_end(&self) -> SessionEnd {
         let why = self.link.client.ended().map(|error| error.to_string());
         SessionEnd::Link(why.unwrap_or_else(|| "the link has ended".to_owned()))
     }
@@ -262,13 +289,6 @@ impl<'a> DeviceSession<'a> {
     }
 
     async fn on_tick(&mut self) -> Result<(), SessionEnd> {
-        if let Some(suspended) = self.link.contact.poll_suspend(&self.context.machine) {
-            self.record.lock().lease.revoke();
-            return Err(SessionEnd::Suspended(format!(
-                "nothing ran here for {:.0} s",
-                suspended.as_secs_f64()
-            )));
-        }
         let expired = self.record.lock().lease.expired(Instant::now());
         if let Some(holder) = expired {
             publish_lease_expired(self.record, &holder);
@@ -322,67 +342,10 @@ impl<'a> DeviceSession<'a> {
         }
     }
 
-    /// Reads the counters of link and learner, logs what exceeds its limit, and retries the store.
-    async fn poll_counters(&mut self) -> Result<(), SessionEnd> {
-        let counted = self.link.client.with(|client| client.counters()).await;
-        let Ok(ClientCounters {
-            windows,
-            frames_beyond,
-            ..
-        }) = counted
-        else {
-            return Err(self.link_end());
-        };
-        if windows.received > 0 || windows.missing > 0 {
-            let mut inner = self.record.lock();
-            inner.windows.dropped_by_device(windows.dropped_by_device);
-        }
-        self.report_flood(frames_beyond);
-        let unlearned = self.context.learner.dropped_count(&self.record.name);
-        let jumps = {
-            let mut inner = self.record.lock();
-            inner.windows.set_unlearned(unlearned);
-            inner.windows.jumps()
-        };
-        if jumps > std::mem::replace(&mut self.logged_jumps, jumps) {
-            tracing::warn!(
-                device = self.record.name,
-                jumps,
-                "its windows are numbered in jumps"
-            );
-        }
-        let beyond = self.flood.take_rejected();
-        if beyond > 0 {
-            tracing::warn!(
-                device = self.record.name,
-                beyond,
-                "more windows and faults than a device sends: dropped"
-            );
-        }
-        if self.last_store_retry.elapsed() >= STORE_RETRY_PERIOD {
-            self.last_store_retry = Instant::now();
-            self.retry_store().await?;
-        }
-        Ok(())
-    }
-
-    /// Counts frames beyond what a hob sends, of this link `frames_beyond` so far; reports them once per connection.
-    fn report_flood(&mut self, frames_beyond: u64) {
-        let more = self.flood.new_frames(frames_beyond);
-        if more == 0 {
-            return;
-        }
-        self.record.lock().frames_beyond += more;
-        if more == frames_beyond {
-            let text = "it sends more than a hob does: what is beyond that is dropped and counted";
-            tracing::warn!(device = self.record.name, frames = more, "{text}");
-            self.store_event("flood", text);
-        }
-    }
-
     /// Closes the session after its last event: switches off power requested through the daemon, detaches the recorder,
     /// ends the session in the store.
     pub async fn close(&mut self, end: &SessionEnd) {
+        self.store_wait.begin_end();
         if self.record.lock().lease.asked_w() > 0 {
             // Without a link this fails at once, and the device ends its power itself.
             if let Err(error) = self.off().await {
@@ -402,8 +365,8 @@ impl<'a> DeviceSession<'a> {
         };
         if let Some(StoredIds { session, .. }) = self.stored {
             let ending = self
-                .context
-                .in_store(move |store| store.end_session(session, &why));
+                .store_wait
+                .run(move |store| store.end_session(session, &why));
             // Errors of the store are reported by its thread.
             let _ = ending.await;
         }

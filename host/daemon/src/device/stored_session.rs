@@ -13,7 +13,7 @@ impl DeviceSession<'_> {
         let hello = self.link.client.hello().clone();
         let front_end = self.link.client.front_end().clone();
         let is_resumed = self.record.lock().is_resumed;
-        let began = self.context.in_store(move |store| {
+        let began = self.store_wait.run(move |store| {
             let device = store.device(&name, &address)?;
             let session = store.begin_session(device, &hello, &front_end)?;
             let (learned, alloys) = match is_resumed {

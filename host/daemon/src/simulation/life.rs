@@ -107,7 +107,7 @@ impl Course {
 }
 
 /// Creates a folder for a store, in memory if the system supports it.
-fn store_folder() -> TempDir {
+pub(super) fn store_folder() -> TempDir {
     let memory = Path::new("/dev/shm");
     let folder = match memory.is_dir() {
         true => tempfile::tempdir_in(memory),
@@ -116,7 +116,7 @@ fn store_folder() -> TempDir {
     folder.expect("a folder for the store")
 }
 
-fn paused_runtime() -> Runtime {
+pub(super) fn paused_runtime() -> Runtime {
     tokio::runtime::Builder::new_current_thread()
         .enable_time()
         .start_paused(true)
@@ -233,7 +233,7 @@ pub fn run(seed: u64, left: HobKind, part: Option<&DaemonPart>) -> Course {
     }
 }
 
-fn configuration(world: &World, store: &Path) -> DaemonConfig {
+pub(super) fn configuration(world: &World, store: &Path) -> DaemonConfig {
     let mut text = String::from("discover_usb = false\n");
     for name in HOBS {
         text += &format!("[[device]]\nname = \"{name}\"\naddress = \"serial:{name}\"\n");

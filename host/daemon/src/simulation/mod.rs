@@ -22,6 +22,8 @@ mod promises;
 mod recovery;
 mod samples;
 mod script;
+#[cfg(test)]
+mod slow_store;
 mod users;
 mod world;
 

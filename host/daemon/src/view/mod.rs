@@ -25,7 +25,7 @@ use crate::error::DaemonError;
 use crate::history::TelemetryBuffer;
 use crate::machine::Machine;
 use crate::printable::printable;
-use crate::store_thread::{StoreThread, StoreThreadError};
+use crate::store_thread::StoreThreadError;
 use crate::supervisor::Devices;
 
 /// Read model of the daemon.
@@ -34,7 +34,6 @@ pub struct View {
     pub(crate) devices: Arc<Devices>,
     /// Telemetry that is not stored yet.
     pub(crate) telemetry: Arc<TelemetryBuffer>,
-    pub(crate) store: StoreThread,
     /// Folder of the store, for readers.
     pub(crate) folder: PathBuf,
     pub(crate) readers: Semaphore,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use ihd_model::{DeviceReport, PotCurve};
-use ihd_store::{DeviceId, LookupRow, ResultFilter, ResultRow};
+use ihd_store::{LookupRow, ResultFilter, ResultRow};
 
 use super::View;
 use crate::error::DaemonError;
@@ -42,8 +42,7 @@ impl View {
     /// # Errors
     /// Error of the store.
     pub async fn results(&self, filter: ResultFilter) -> Result<Vec<ResultRow>, DaemonError> {
-        let results = self.store.run(move |store| store.results(&filter));
-        Ok(results.await?)
+        self.read(move |reader| reader.results(&filter)).await
     }
 
     /// Returns all lookups of a device, oldest first.
@@ -51,13 +50,15 @@ impl View {
     /// # Errors
     /// [`DaemonError::NoDevice`], or an error of the store.
     pub async fn lookups(&self, device: &str) -> Result<Vec<LookupRow>, DaemonError> {
-        let handle = self.devices.get(device);
-        let handle = handle.ok_or_else(|| DaemonError::NoDevice(printable(device)))?;
-        let (name, address) = (handle.record.name.clone(), handle.record.address.clone());
-        let lookups = self.store.run(move |store| {
-            let device: DeviceId = store.device(&name, &address)?;
-            store.lookups(device)
+        if self.devices.get(device).is_none() {
+            return Err(DaemonError::NoDevice(printable(device)));
+        }
+        let name = device.to_owned();
+        let lookups = self.read(move |reader| {
+            let mut rows = reader.lookups()?;
+            rows.retain(|row| row.device == name);
+            Ok(rows)
         });
-        Ok(lookups.await?)
+        lookups.await
     }
 }

@@ -1,0 +1,87 @@
+//! A store that does not answer, while the learner pushes lookups to a hob that heats.
+
+use std::time::Duration;
+
+use ihd_model::Command;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
+use ihd_store::ResultFilter;
+use tokio::time::sleep;
+
+use super::disk::DiskState;
+use super::hob::HOBS;
+use super::life::{configuration, paused_runtime, start, store_folder};
+use super::recovery::wait_until_working;
+use super::world::{HobKind, World};
+use crate::device::DeviceRequest;
+use crate::learning::LookupToPush;
+use crate::lease::LEASE_S;
+
+const POWER_W: u16 = 900;
+
+/// Returns the requested power of the left hob now, in watt.
+fn asked_w(world: &World) -> u16 {
+    let now = world.now();
+    let hob = &mut world.lock().sockets[0].hob;
+    hob.advance_to(now);
+    hob.asked_w()
+}
+
+/// The device's task waits for the store again and again. Meanwhile it keeps the hob heating for a lease that is renewed, and switches
+/// off when it is not: the end of a lease may be late by one wait for the store, of a second.
+#[test]
+fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
+    // Seed 0 is calm.
+    let world = World::new(0, HobKind::Script, false);
+    let folder = store_folder();
+    paused_runtime().block_on(async {
+        let daemon = start(&world, configuration(&world, folder.path())).await;
+        let daemon = daemon.expect("it starts");
+        wait_until_working(&daemon).await;
+        let name = HOBS[0];
+        let lease = || async { daemon.take_lease(name, "ada", false).await.unwrap() };
+        lease().await;
+        let heat = Command::Power { power_w: POWER_W };
+        daemon.command(name, "ada", heat).await.expect("it heats");
+        world.disk.set(DiskState {
+            delay: Duration::from_secs(3_600),
+            ..DiskState::default()
+        });
+        let requests = daemon.handle_of(name).unwrap().requests;
+        tokio::spawn(async move {
+            for version in 1.. {
+                let lookup = RlLookup { version, ..prior() };
+                let push = Box::new(LookupToPush::without_certainty(lookup));
+                if requests
+                    .send(DeviceRequest::PushLookup(push))
+                    .await
+                    .is_err()
+                {
+                    return;
+                }
+            }
+        });
+        for _ in 0..12 {
+            lease().await;
+            sleep(Duration::from_secs(5)).await;
+            let connections = world.lock().sockets[0].connection;
+            assert_eq!((asked_w(&world), connections), (POWER_W, 1));
+        }
+        // Queries have connections of their own.
+        let asked = world.now();
+        daemon.view().lookups(name).await.unwrap();
+        let all = ResultFilter::default();
+        daemon.view().results(all).await.unwrap();
+        assert_eq!(world.now(), asked, "a query waits for the store's thread");
+        lease().await;
+        let began = world.now();
+        while asked_w(&world) > 0 {
+            sleep(Duration::from_millis(10)).await;
+        }
+        let after = world.now() - began;
+        let end = Duration::from_secs(LEASE_S);
+        let late = Duration::from_millis(1_200);
+        assert!(after >= end && after <= end + late, "off after {after:?}");
+        world.end_life();
+    });
+}
