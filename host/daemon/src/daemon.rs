@@ -119,7 +119,7 @@ impl Daemon {
                 devices: Arc::clone(&devices),
                 telemetry: Arc::clone(&telemetry),
                 folder: config.store.clone(),
-                readers: Semaphore::new(READERS),
+                readers: Arc::new(Semaphore::new(READERS)),
                 ages: Mutex::new(BTreeMap::new()),
             },
             fleet: FleetAccess {

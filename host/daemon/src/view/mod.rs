@@ -36,7 +36,8 @@ pub struct View {
     pub(crate) telemetry: Arc<TelemetryBuffer>,
     /// Folder of the store, for readers.
     pub(crate) folder: PathBuf,
-    pub(crate) readers: Semaphore,
+    /// One permit for each query that may run at a time.
+    pub(crate) readers: Arc<Semaphore>,
     /// Ages of the lookup cells, by device.
     pub(crate) ages: Mutex<BTreeMap<String, CellAges>>,
 }
@@ -48,11 +49,15 @@ impl View {
         f: impl FnOnce(&StoreReader) -> Result<T, StoreError> + Send + 'static,
     ) -> Result<T, DaemonError> {
         // The semaphore is never closed.
-        let turn = self.readers.acquire().await;
+        let turn = Arc::clone(&self.readers).acquire_owned().await;
         let folder = self.folder.clone();
-        let reading = tokio::task::spawn_blocking(move || f(&StoreReader::open(&folder)?)).await;
-        drop(turn);
-        Ok(reading.map_err(|_| StoreThreadError::Gone("reading it panicked"))??)
+        let reading = self.machine.spawn_blocking(move || {
+            // The query goes on if its caller leaves, and so does its turn.
+            let _turn = turn;
+            f(&StoreReader::open(&folder)?)
+        });
+        let read = reading.await;
+        Ok(read.map_err(|_| StoreThreadError::Gone("reading it panicked"))??)
     }
 
     /// Runs a query for one device, connected or not.
@@ -75,4 +80,44 @@ impl View {
 /// Returns a number for JSON, which has no NaN; `None` if it is not finite.
 fn finite(x: f64) -> Option<f64> {
     x.is_finite().then_some(x)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc;
+
+    use ihd_store::{Store, StoreOptions};
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_query_keeps_its_turn_when_its_caller_leaves() {
+        let folder = tempfile::tempdir().unwrap();
+        let opened = Store::open(folder.path(), &StoreOptions::default()).unwrap();
+        let view = Arc::new(View {
+            machine: Machine::default(),
+            devices: Arc::default(),
+            telemetry: Arc::default(),
+            folder: folder.path().to_owned(),
+            readers: Arc::new(Semaphore::new(1)),
+            ages: Mutex::default(),
+        });
+        let (began, begun) = tokio::sync::oneshot::channel();
+        let (end, ended) = mpsc::channel::<()>();
+        let slow = move |_: &StoreReader| {
+            began.send(()).unwrap();
+            let _ = ended.recv();
+            Ok(())
+        };
+        let asked = Arc::clone(&view);
+        let caller = tokio::spawn(async move { asked.read(slow).await });
+        begun.await.unwrap();
+        caller.abort();
+        assert!(caller.await.unwrap_err().is_cancelled());
+        assert_eq!(view.readers.available_permits(), 0);
+        drop(end);
+        view.read(|_| Ok(())).await.unwrap();
+        assert_eq!(view.readers.available_permits(), 1);
+        drop(opened);
+    }
 }
