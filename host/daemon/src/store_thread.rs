@@ -15,6 +15,9 @@ use crate::machine::Machine;
 use crate::store_health::{HealthChange, StoreHealth, cause_of};
 use crate::store_queue::{Lane, Room, StoreQueue};
 
+/// Time after which a job counts as stuck: several times what a job takes that waits for a locked database (5 s) and fails.
+const JOB_LIMIT: Duration = Duration::from_secs(30);
+
 type Work = Box<dyn FnOnce(&mut Store) -> Result<(), JobFailure> + Send>;
 
 /// Job of the store, with the record that it writes.
@@ -77,8 +80,8 @@ struct QueueState {
     queue: StoreQueue<Job>,
     /// `true` once no more jobs are accepted.
     is_closed: bool,
-    /// `true` while a job is being done.
-    is_busy: bool,
+    /// Time since which the thread has not ended the present job, or not taken one that waits; `None` without a job.
+    due_since: Option<Instant>,
 }
 
 #[derive(Default)]
@@ -207,7 +210,7 @@ impl StoreThread {
     /// Polls the condition, every ten seconds, and tries to write if that can clear a failure, for at most `timeout`. Returns the number
     /// of the present job; `before` is the number from the last poll.
     pub async fn poll_health(&self, before: Option<u64>, timeout: Duration) -> Option<u64> {
-        let is_busy = lock(&self.shared.state).is_busy;
+        let is_busy = lock(&self.shared.state).due_since.is_some();
         let now = is_busy.then(|| self.shared.gauge.jobs.load(Ordering::Relaxed));
         let is_responding = now.is_none() || now != before;
         let mut may_try = false;
@@ -226,13 +229,22 @@ impl StoreThread {
         now
     }
 
+    /// Returns `true` if the thread has no job, or has ended or taken one within [`JOB_LIMIT`], even with an error.
+    pub fn progresses(&self) -> bool {
+        self.progresses_at(Instant::now())
+    }
+
+    fn progresses_at(&self, now: Instant) -> bool {
+        let due_since = lock(&self.shared.state).due_since;
+        due_since.is_none_or(|since| now.saturating_duration_since(since) < JOB_LIMIT)
+    }
+
     /// Returns once no job is waiting or being done.
     pub async fn idle(&self) {
         loop {
             let progress = self.shared.progress.notified();
             {
-                let state = lock(&self.shared.state);
-                if state.queue.is_empty() && !state.is_busy {
+                if lock(&self.shared.state).due_since.is_none() {
                     return;
                 }
             }
@@ -340,6 +352,7 @@ impl Shared {
             return Err(StoreThreadError::Gone("it is stopping"));
         }
         let refused = state.queue.push(lane, room, job).err();
+        state.due_since.get_or_insert_with(Instant::now);
         drop(state);
         self.job_added.notify_one();
         #[cfg(any(test, feature = "simulation"))]
@@ -435,7 +448,7 @@ impl StoreWorker {
         let job = {
             let mut state = lock(&self.shared.state);
             let job = state.queue.next();
-            state.is_busy = job.is_some();
+            state.due_since = job.is_some().then(Instant::now);
             job
         };
         let Some(Job { record, work }) = job else {
@@ -453,7 +466,10 @@ impl StoreWorker {
         });
         self.shared.gauge.count(began.elapsed(), outcome.is_ok());
         self.shared.record_outcome(record, outcome);
-        lock(&self.shared.state).is_busy = false;
+        {
+            let mut state = lock(&self.shared.state);
+            state.due_since = (!state.queue.is_empty()).then(Instant::now);
+        }
         self.shared.progress.notify_waiters();
         true
     }

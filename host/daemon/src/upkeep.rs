@@ -55,6 +55,11 @@ impl Upkeep {
         tokio::time::timeout(STORE_TIMEOUT, query).await.is_ok()
     }
 
+    /// Returns `true` if the store's thread goes on with its jobs, even if each of them waits for a locked database and fails.
+    pub fn store_progresses(&self) -> bool {
+        self.store.progresses()
+    }
+
     /// Returns the files of the store that were damaged at the start and set aside, as text.
     pub fn damage(&self) -> &[String] {
         &self.damage

@@ -189,3 +189,30 @@ async fn a_store_that_hangs_is_told_and_a_refusal_is_none_of_its_failures() {
     rig.thread.close().await;
     assert!(!rig.thread.access().offer(|_| Ok(())));
 }
+
+/// Jobs that each wait for a locked database leave no turn for a query, and the thread goes on all the same.
+#[tokio::test]
+async fn a_thread_that_ends_its_jobs_progresses_and_one_that_is_stuck_does_not() {
+    let rig = rig();
+    let later = || Instant::now() + JOB_LIMIT;
+    assert!(rig.thread.progresses_at(later()), "without a job");
+    let mut release = rig.stall();
+    for _ in 0..3 {
+        let (hold, held) = mpsc::channel::<()>();
+        let (began, begun) = mpsc::channel();
+        assert!(rig.thread.access().offer(move |_| {
+            began.send(()).unwrap();
+            let _ = held.recv();
+            Err(full())
+        }));
+        let before = Instant::now();
+        assert!(rig.thread.progresses_at(before), "a young job");
+        assert!(!rig.thread.progresses_at(later()), "a stuck one");
+        drop(std::mem::replace(&mut release, hold));
+        begun.recv_timeout(PATIENCE).unwrap();
+        assert!(rig.thread.progresses_at(before + JOB_LIMIT), "the next job");
+    }
+    drop(release);
+    rig.thread.idle().await;
+    assert!(rig.thread.progresses_at(later()), "without a job again");
+}

@@ -69,8 +69,8 @@ impl Signals {
     }
 }
 
-/// Notifies systemd that the daemon is ready, and then at the requested period that it is alive: its threads run and its store
-/// answers. A full disk does not count as dead.
+/// Notifies systemd that the daemon is ready, and then at the requested period that it is alive: its threads run and its store goes
+/// on with its jobs. A full disk or a locked database does not count as dead.
 #[cfg(target_os = "linux")]
 pub async fn ready_and_alive(daemon: Daemon) {
     use sd_notify::NotifyState;
@@ -79,10 +79,12 @@ pub async fn ready_and_alive(daemon: Daemon) {
         return;
     };
     loop {
-        if daemon.upkeep().store_responds().await {
+        if daemon.upkeep().store_progresses() {
             notify_systemd(NotifyState::Watchdog);
         } else {
-            tracing::error!("the store does not answer: the watchdog is not notified");
+            tracing::error!(
+                "the store does nothing for half a minute: the watchdog is not notified"
+            );
         }
         tokio::time::sleep(within / 3).await;
     }
