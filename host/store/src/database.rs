@@ -95,6 +95,20 @@ pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreErr
     Ok(connection)
 }
 
+/// Runs a statement that fails at once, where others wait, if another connection is in its way.
+///
+/// # Errors
+/// Errors of SQLite.
+pub fn without_waiting<T>(
+    connection: &Connection,
+    run: impl FnOnce() -> rusqlite::Result<T>,
+) -> rusqlite::Result<T> {
+    connection.busy_timeout(Duration::ZERO)?;
+    let done = run();
+    connection.busy_timeout(BUSY_TIMEOUT)?;
+    done
+}
+
 /// Opens a database, checks its pages up to the time limit, and begins and rolls back a write.
 ///
 /// # Errors

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::folder::{self, DayFile};
 use super::windows::SampleDropReason;
-use super::{SamplePolicy, Store, StoreError, clock};
+use super::{SamplePolicy, Store, StoreError, clock, database};
 
 /// Most rows in each of the tables of results, events and commands: some 2 GB of results.
 const MAX_ROWS: i64 = 10_000_000;
@@ -233,10 +233,53 @@ impl Store {
     }
 }
 
-/// Writes a database's log back into it, unless a reader prevents it.
+/// Writes a database's log back into it as far as readers of older states permit. It does not wait for them: the next checkpoint does the
+/// rest.
 pub(crate) fn checkpoint(connection: &Connection) {
-    let done = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
-    if let Err(error) = done {
-        tracing::debug!(%error, "checkpoint");
+    let sql = "PRAGMA wal_checkpoint(TRUNCATE)";
+    let done = database::without_waiting(connection, || {
+        connection.query_row(sql, [], |row| row.get::<_, bool>(0))
+    });
+    match done {
+        Ok(false) => {}
+        Ok(true) => tracing::debug!("checkpoint: a reader keeps the log"),
+        Err(error) => tracing::debug!(%error, "checkpoint"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use super::*;
+    use crate::schema::RECORDS;
+
+    /// Number of times that a statement has waited for another connection.
+    static WAITS: AtomicU32 = AtomicU32::new(0);
+
+    #[test]
+    fn a_checkpoint_does_not_wait_for_a_reader() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(folder::RECORDS);
+        let mut writer = database::open(&path, &RECORDS).unwrap();
+        let reader = Connection::open(&path).unwrap();
+        reader.execute_batch("BEGIN; SELECT * FROM events").unwrap();
+        writer
+            .execute_batch("INSERT INTO used (day, used_ms) VALUES ('', 0)")
+            .unwrap();
+        let counted = |_| {
+            WAITS.fetch_add(1, Ordering::Relaxed);
+            false
+        };
+        writer.busy_handler(Some(counted)).unwrap();
+        checkpoint(&writer);
+        assert_eq!(WAITS.load(Ordering::Relaxed), 0);
+        // Other statements wait as before.
+        let wait_ms = writer.pragma_query_value(None, "busy_timeout", |row| row.get::<_, u32>(0));
+        assert_eq!(wait_ms.unwrap(), 5_000);
+        // Without the reader all of the log is written back.
+        drop(reader);
+        checkpoint(&writer);
+        assert_eq!(folder::size(&path), std::fs::metadata(&path).unwrap().len());
     }
 }
