@@ -15,7 +15,7 @@ impl Store {
     /// Adds the time since this process's last collection to the time in use, up to [`LONGEST_STEP_MS`].
     pub(crate) fn grow_older(&mut self) -> Result<(), StoreError> {
         let now = self.now();
-        let last = self.collected_ms.replace(now).unwrap_or(now);
+        let last = self.collected_ms.unwrap_or(now);
         let step = now.saturating_sub(last).clamp(0, LONGEST_STEP_MS);
         self.change("counting the time in use", |change| {
             change.execute(
@@ -24,7 +24,9 @@ impl Store {
                 params![NOW, step],
             )?;
             Ok(())
-        })
+        })?;
+        self.collected_ms = Some(now);
+        Ok(())
     }
 
     /// Returns the time in use since a day's file was seen first, in milliseconds.

@@ -151,6 +151,11 @@ impl StoreError {
         matches!(self.code(), Some(DatabaseBusy | DatabaseLocked))
     }
 
+    /// Returns `true` if the same call may work later: there was no room, or the database was locked.
+    pub fn may_pass(&self) -> bool {
+        self.is_full() || self.is_locked()
+    }
+
     /// Returns `true` if the files may not be written, or not opened.
     pub fn is_denied(&self) -> bool {
         use io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};

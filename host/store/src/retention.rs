@@ -46,14 +46,22 @@ impl DeletedFiles {
 }
 
 impl Store {
-    /// Deletes days of windows that are too old, today's never; thins windows that take too much room (thinning.rs); deletes samples
+    /// Deletes days of windows that are too old, today's never, before anything is written; thins windows that take too much room (thinning.rs); deletes samples
     /// without information if the policy is [`SamplePolicy::Informative`]; checkpoints the databases' logs, so that sizes are right.
     ///
     /// # Errors
     /// Errors of the database or the operating system; deletions up to then are done.
     pub fn collect_garbage(&mut self) -> Result<CollectionReport, StoreError> {
         let mut collected = CollectionReport::default();
-        self.grow_older()?;
+        let grown = self.grow_older();
+        self.measure_other_days()?;
+        let by_age = self.delete_by_age()?;
+        match grown {
+            // A full disk: perhaps there is room now.
+            Err(error) if error.is_full() => self.grow_older()?,
+            grown => grown?,
+        }
+        self.end_sessions_that_were_cut_off()?;
         if self.options().keep == SamplePolicy::Informative {
             collected.samples_dropped = self.drop_uninformative_samples()?;
         }
@@ -68,7 +76,7 @@ impl Store {
         let DeletedFiles {
             mut paths,
             mut bytes,
-        } = self.delete_by_age()?;
+        } = by_age;
         let thinned = self.figures().thinned;
         self.make_room()?;
         // Room that thinning has freed is still in the logs.
@@ -132,17 +140,17 @@ impl Store {
     pub(crate) fn delete_by_age(&mut self) -> Result<DeletedFiles, StoreError> {
         let mut deleted = DeletedFiles::default();
         let today = clock::day(self.now());
-        self.age_of(&today)?;
-        let Some(days) = self.options().retention.max_age_days else {
-            return Ok(deleted);
-        };
-        // The day itself, and `days` more.
-        let most_ms = i64::from(days).saturating_add(1).saturating_mul(DAY_MS);
-        for (day, path) in self.by_age(&today)? {
-            if self.age_of(&day)? >= most_ms {
-                deleted.add(path.clone(), self.delete_day(&day, &path)?);
+        if let Some(days) = self.options().retention.max_age_days {
+            // The day itself, and `days` more.
+            let most_ms = i64::from(days).saturating_add(1).saturating_mul(DAY_MS);
+            for (day, path) in self.by_age(&today)? {
+                if self.age_of(&day)? >= most_ms {
+                    deleted.add(path.clone(), self.delete_day(&day, &path)?);
+                }
             }
         }
+        // Last: a new day is written.
+        self.age_of(&today)?;
         Ok(deleted)
     }
 

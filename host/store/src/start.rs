@@ -30,7 +30,7 @@ pub struct OpenedStore {
 impl Store {
     /// Opens the store in a folder, which is created if it does not exist, and locks it for writing.
     /// Each database is checked; a damaged one is set aside and reported, and the store continues with a new
-    /// one.
+    /// one. A full disk or a lock of another process leaves checks and ends of sessions for later.
     ///
     /// # Errors
     /// [`StoreError::InUse`] if another process has the store, [`StoreError::Newer`] if a later ihd
@@ -58,12 +58,24 @@ impl Store {
         let (records, _) = whole(&path, &RECORDS, CHECK_RECORDS, at_ms, &mut damage)?;
         check_days(folder, at_ms, &mut damage)?;
         let mut store = Store::new(folder, options, clock, records, lock)?;
-        store.end_sessions_that_were_cut_off()?;
-        store.resume_recent()?;
+        store.find_sessions_that_were_cut_off()?;
+        or_later(store.end_sessions_that_were_cut_off())?;
+        or_later(store.resume_recent())?;
         for file in &damage {
-            store.event(None, "damage", &describe(file))?;
+            or_later(store.event(None, "damage", &describe(file)))?;
         }
         Ok(OpenedStore { store, damage })
+    }
+}
+
+/// Logs an error that may pass by itself: a store that starts without this step can make room.
+fn or_later(done: Result<(), StoreError>) -> Result<(), StoreError> {
+    match done {
+        Err(error) if error.may_pass() => {
+            tracing::warn!(%error, "store: left for later");
+            Ok(())
+        }
+        done => done,
     }
 }
 
@@ -82,7 +94,13 @@ fn check_days(folder: &Path, at_ms: i64, damage: &mut Vec<DamagedFile>) -> Resul
     for day in folder::days(folder)?.iter().rev() {
         let left = CHECK_WINDOWS.saturating_sub(began.elapsed());
         let before = damage.len();
-        let (connection, integrity) = whole(&day.path, &WINDOWS, left, at_ms, damage)?;
+        let (connection, integrity) = match whole(&day.path, &WINDOWS, left, at_ms, damage) {
+            Err(error) if error.may_pass() => {
+                tracing::warn!(%error, "store: a day that is not checked");
+                continue;
+            }
+            checked => checked?,
+        };
         drop(connection);
         if damage.len() > before {
             // No windows of that day are left: no file is clearer than an empty one.

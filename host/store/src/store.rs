@@ -37,6 +37,8 @@ pub struct Store {
     pub(crate) tallies: BTreeMap<String, FleetStates>,
     /// Day for which the lack of room was reported.
     reported_too_large: Option<String>,
+    /// Last session of the processes before; `None` once those that were cut off are ended.
+    cut_off: Option<SessionId>,
     /// Windows of the last hour.
     pub(crate) recent: Recent,
     /// Progress of thinning older windows.
@@ -80,7 +82,9 @@ pub struct StoreFigures {
 const EXCESS_DIVISOR: u64 = 10;
 
 const END_CUT_OFF: &str = "UPDATE sessions SET ended_ms = ?1,
-    why = 'cut off: the process ended without ending it' WHERE ended_ms IS NULL";
+    why = 'cut off: the process ended without ending it' WHERE ended_ms IS NULL AND id <= ?2";
+
+const LAST_CUT_OFF: &str = "SELECT max(id) FROM sessions WHERE ended_ms IS NULL";
 
 const NEW_SESSION: &str = "
 INSERT INTO sessions (device, boot, began_ms, build, board, protocol_major, protocol_minor, capabilities,
@@ -112,6 +116,7 @@ impl Store {
             none_due_to: None,
             tallies: BTreeMap::new(),
             reported_too_large: None,
+            cut_off: None,
             recent: Recent::default(),
             thinning: Thinning::default(),
             lost_to_fleet: BTreeMap::new(),
@@ -212,6 +217,7 @@ impl Store {
         hello: &Hello,
         front_end: &FrontEnd,
     ) -> Result<SessionId, StoreError> {
+        self.end_sessions_that_were_cut_off()?;
         let at_ms = self.now();
         let session = self.change("storing a session", |change| {
             change.execute(
@@ -257,11 +263,25 @@ impl Store {
         }
     }
 
+    /// Finds the sessions that the processes before have not ended.
+    pub(crate) fn find_sessions_that_were_cut_off(&mut self) -> Result<(), StoreError> {
+        let last = self.records.query_row(LAST_CUT_OFF, [], |row| row.get(0));
+        self.cut_off = last.map_err(self.failed("looking for open sessions"))?;
+        Ok(())
+    }
+
+    /// Ends the sessions that the processes before have not ended. After an error they end with the next session's begin or the next
+    /// collection.
     pub(crate) fn end_sessions_that_were_cut_off(&mut self) -> Result<(), StoreError> {
+        let Some(last) = self.cut_off else {
+            return Ok(());
+        };
         let at_ms = self.now();
         self.change("ending sessions", |change| {
-            change.execute(END_CUT_OFF, [at_ms]).map(drop)
-        })
+            change.execute(END_CUT_OFF, [at_ms, last]).map(drop)
+        })?;
+        self.cut_off = None;
+        Ok(())
     }
 
     pub(crate) fn session(&mut self, session: SessionId) -> Result<&mut Session, StoreError> {
