@@ -24,6 +24,14 @@ use crate::lookup::{BuiltLookup, LookupAccuracy, judge_cells};
 /// Windows that are tried at one operating point before the run fails.
 const MAX_WINDOWS: usize = 3;
 
+/// Outcome of a window.
+pub(super) enum PointOutcome {
+    /// It was learned from.
+    Learned,
+    /// The gate refused it for this reason, which is reported and counted.
+    Refused(String),
+}
+
 /// Options of a run.
 pub struct RunOptions<'a> {
     /// Operating points.
@@ -285,22 +293,21 @@ impl Run<'_, '_> {
         for _ in 0..MAX_WINDOWS {
             let window = next(&mut self.device)?;
             match self.learn(window, point, truth, true)? {
-                Ok(()) => return Ok(()),
-                Err(reason) => why = reason,
+                PointOutcome::Learned => return Ok(()),
+                PointOutcome::Refused(reason) => why = reason,
             }
         }
         Err(TrainerError::NoFit { point, why })
     }
 
-    /// Learns from a window, and pushes the lookup if it has changed. The inner `Err` is the reason for which the gate refused the window,
-    /// already reported and counted.
+    /// Learns from a window, and pushes the lookup if it has changed. `always` builds one even if nothing has.
     pub(super) fn learn(
         &mut self,
         window: Box<Window>,
         at: OperatingPoint,
         truth: Option<&Truth>,
         always: bool,
-    ) -> Result<Result<(), String>, TrainerError> {
+    ) -> Result<PointOutcome, TrainerError> {
         let (device, seq) = (&mut self.device, window.seq);
         let outcome = self.learning.observe(&window, always, &mut |step| {
             device.report(RunProgress::Training { seq, step });
@@ -315,9 +322,30 @@ impl Run<'_, '_> {
             WindowOutcome::Refused { why, .. } => {
                 self.report.refused += 1;
                 self.device.report(RunProgress::Rejected { seq, why: &why });
-                return Ok(Err(why));
+                return Ok(PointOutcome::Refused(why));
             }
         };
+        self.report_findings(seq, &findings, &seen);
+        // In a replay the truth is the recording's, not the simulated hob's.
+        let simulated = at.asked_w().and_then(|_| self.device.truth_of(&window));
+        let truth = truth.cloned().or(simulated);
+        let mut point = self.compare(&window, &identified, at, truth.as_ref());
+        let (changed, pushed) = match taught {
+            LookupUpdate::Unchanged => (false, Ok(())),
+            LookupUpdate::New(built) => (true, self.push(*built)),
+            LookupUpdate::Refused(why) => (always, Err(TrainerError::Lookup(why))),
+        };
+        point.lookup_version = self.report.built.as_ref().map_or(0, |b| b.lookup.version);
+        if !changed {
+            // An unchanged load: the newest window replaces the one before in the report.
+            self.report.points.pop();
+        }
+        self.report.points.push(point);
+        self.report.last = Some((window, identified, truth));
+        pushed.map(|()| PointOutcome::Learned)
+    }
+
+    fn report_findings(&mut self, seq: u32, findings: &[Remark], seen: &CurveMatch) {
         let noteworthy = |f: &&Remark| f.severity > Severity::Info || f.code == SELF_CALIBRATED;
         for finding in findings.iter().filter(noteworthy) {
             let text = format!("window {seq}: {finding}");
@@ -331,15 +359,22 @@ impl Run<'_, '_> {
             );
             self.device.report(RunProgress::Note { text: &text });
         }
-        // In a replay the truth is the recording's, not the simulated hob's.
-        let simulated = at.asked_w().and_then(|_| self.device.truth_of(&window));
-        let truth = truth.cloned().or(simulated);
+    }
+
+    /// Compares what was identified, and what all windows have taught, with the truth and the power.
+    fn compare(
+        &mut self,
+        window: &Window,
+        identified: &Identification,
+        at: OperatingPoint,
+        truth: Option<&Truth>,
+    ) -> PointReport {
         let last = self.device.last.as_ref();
         let delivered_w = last.map(|t| f64::from(t.power_mw) * 1e-3);
         let power = at.asked_w().zip(delivered_w);
-        let mut point = point::compare(&window, &identified, truth.as_ref(), power);
-        point.learned_errors = truth.as_ref().and_then(|truth| {
-            let learned = self.learning.predict(&window, &identified);
+        let mut point = point::compare(window, identified, truth, power);
+        point.learned_errors = truth.and_then(|truth| {
+            let learned = self.learning.predict(window, identified);
             let known = identified.t_s.iter().zip(&learned);
             let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
             point::errors(
@@ -348,19 +383,7 @@ impl Run<'_, '_> {
                 half_cycle_s,
             )
         });
-        let (changed, pushed) = match taught {
-            LookupUpdate::Unchanged => (false, Ok(())),
-            LookupUpdate::New(built) => (true, self.push(*built)),
-            LookupUpdate::Refused(why) => (always, Err(TrainerError::Lookup(why))),
-        };
-        point.lookup_version = self.report.built.as_ref().map_or(0, |b| b.lookup.version);
-        if !changed {
-            // An unchanged load: the newest window replaces the one before in the report.
-            self.report.points.pop();
-        }
-        self.report.points.push(point);
-        self.report.last = Some((window, identified, truth));
-        pushed.map(Ok)
+        point
     }
 
     fn push(&mut self, built: BuiltLookup) -> Result<(), TrainerError> {
