@@ -23,6 +23,9 @@ pub const ACK_WAIT: Duration = Duration::from_secs(30);
 /// Deliveries of a window after which it is given up.
 pub const MOST_DELIVERIES: i64 = 5;
 
+/// Deliveries after which a window is given up that some workers leave to others: each time that one of them passes it on, every 10 s, counts.
+pub const MOST_PASSED_ON: i64 = 500;
+
 /// Windows for each thread of a worker: one in progress, one waiting.
 pub const PER_THREAD: usize = 2;
 

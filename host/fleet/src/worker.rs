@@ -19,7 +19,9 @@ use tokio::task::JoinSet;
 
 use crate::clock::now_ms;
 use crate::dead_letters;
-use crate::jetstream::{self, ACK_WAIT, JetStreamError, MOST_DELIVERIES, PER_THREAD};
+use crate::jetstream::{
+    self, ACK_WAIT, JetStreamError, MOST_DELIVERIES, MOST_PASSED_ON, PER_THREAD,
+};
 use crate::names;
 use crate::wire::{AnswerMessage, WindowMessage};
 
@@ -205,16 +207,17 @@ impl Worker {
             Err(why) => return self.bury(message, None, &why.to_string()).await,
         };
         let key = (window.boot, window.window.seq);
-        if delivered > MOST_DELIVERIES {
-            let why = format!(
-                "it was given to workers {} times without a result",
-                delivered - 1
-            );
-            return self.bury(message, Some(key), &why).await;
-        }
-        if window.not_for.contains(&self.settings.name) {
-            self.leave_to_others(message, &window.hob).await;
-            return Ok(());
+        match next_step(&window, &self.settings.name, delivered) {
+            Step::Identify => {}
+            Step::LeaveToOthers => {
+                self.leave_to_others(message, &window.hob).await;
+                return Ok(());
+            }
+            Step::GiveUp => {
+                let times = delivered - 1;
+                let why = format!("it was given to workers {times} times without a result");
+                return self.bury(message, Some(key), &why).await;
+            }
         }
         let Some(answer) = self.answer(&window, message).await? else {
             let _ = message.ack_with(AckKind::Nak(None)).await;
@@ -330,6 +333,30 @@ impl Worker {
     }
 }
 
+/// Step of a worker with a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    Identify,
+    LeaveToOthers,
+    GiveUp,
+}
+
+/// Returns the step of a worker with a window that is delivered for the `delivered`-th time. A window left to others counts as delivered, too:
+/// only a worker that may identify it gives it up, and later.
+fn next_step(window: &WindowMessage, worker: &str, delivered: i64) -> Step {
+    let most = match window.not_for.is_empty() {
+        true => MOST_DELIVERIES,
+        false => MOST_PASSED_ON,
+    };
+    if window.not_for.iter().any(|name| name == worker) {
+        Step::LeaveToOthers
+    } else if delivered > most {
+        Step::GiveUp
+    } else {
+        Step::Identify
+    }
+}
+
 /// Publishes the worker's card periodically.
 async fn publish_cards(worker: Arc<Worker>) {
     loop {
@@ -339,5 +366,27 @@ async fn publish_cards(worker: Arc<Worker>) {
             let _ = jetstream::put(context, names::WORKER_CARDS, name, card).await;
         }
         tokio::time::sleep(PUBLISH_PERIOD).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A worker that an edge distrusts gets a window more often than any window may be tried.
+    #[test]
+    fn a_window_that_a_distrusted_worker_passed_on_is_tried_by_another() {
+        let mut window = crate::wire::tests::window_message();
+        window.not_for = vec!["liar".to_owned()];
+        for delivered in 1..=20 {
+            let step = next_step(&window, "liar", delivered);
+            assert_eq!(step, Step::LeaveToOthers, "delivery {delivered}");
+        }
+        assert_eq!(next_step(&window, "honest", 21), Step::Identify);
+        // Where it ends the worker each time, somebody gives it up.
+        assert_eq!(next_step(&window, "honest", 501), Step::GiveUp);
+        window.not_for.clear();
+        assert_eq!(next_step(&window, "honest", 5), Step::Identify);
+        assert_eq!(next_step(&window, "honest", 6), Step::GiveUp);
     }
 }

@@ -65,4 +65,4 @@ fn check_hob(hob: String) -> Result<String, MessageError> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -13,7 +13,8 @@ use super::*;
 /// Fields of a message, with their names.
 type Fields = Vec<(Value, Value)>;
 
-fn window() -> WindowMessage {
+/// A window that one worker may not identify.
+pub(crate) fn window_message() -> WindowMessage {
     let pair = |k: u8| Pair::from_le_bytes([k, 0, 255 - k, 0]);
     WindowMessage {
         hob: "bench-1".into(),
@@ -83,7 +84,7 @@ fn golden(name: &str) -> PathBuf {
 #[test]
 fn the_bytes_of_this_version_stay() {
     for (name, bytes) in [
-        ("window", window().to_bytes().unwrap()),
+        ("window", window_message().to_bytes().unwrap()),
         ("answer", answer().to_bytes().unwrap()),
     ] {
         let path = golden(name);
@@ -101,7 +102,7 @@ fn the_bytes_of_this_version_stay() {
     let read = |name| std::fs::read(golden(name)).unwrap();
     assert_eq!(
         WindowMessage::from_bytes(&read("window")).unwrap(),
-        window()
+        window_message()
     );
     assert_eq!(
         AnswerMessage::from_bytes(&read("answer")).unwrap(),
@@ -145,7 +146,7 @@ fn a_field_that_is_not_known_is_ignored_and_a_missing_one_refuses_the_message() 
 
 #[test]
 fn whatever_is_cut_or_flipped_is_an_error_and_no_panic() {
-    let bytes = window().to_bytes().unwrap();
+    let bytes = window_message().to_bytes().unwrap();
     for end in (0..bytes.len()).step_by(37) {
         assert!(WindowMessage::from_bytes(&bytes[..end]).is_err(), "{end}");
     }
@@ -154,7 +155,7 @@ fn whatever_is_cut_or_flipped_is_an_error_and_no_panic() {
         wrong[at] ^= 0x10;
         // Some bits of a zstd frame mean nothing.
         if let Ok(read) = WindowMessage::from_bytes(&wrong) {
-            assert_eq!(read, window(), "byte {at}");
+            assert_eq!(read, window_message(), "byte {at}");
         }
     }
 }
