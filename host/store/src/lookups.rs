@@ -5,7 +5,7 @@ use std::fmt;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::grid::{CELLS, CURRENTS, FREQUENCIES};
 use rusqlite::types::{FromSql, FromSqlError, FromSqlResult, ValueRef};
-use rusqlite::{Connection, OptionalExtension, Transaction, params};
+use rusqlite::{Connection, OptionalExtension, Row, Transaction, params};
 use serde::Serialize;
 
 use super::text::printable;
@@ -128,7 +128,7 @@ pub(crate) fn certainty(
          ORDER BY state = 'pending' DESC, id DESC LIMIT 1"
     );
     let whole = |bytes: Option<Vec<u8>>, length| bytes.filter(|bytes| bytes.len() == length);
-    let read = |row: &rusqlite::Row<'_>| {
+    let read = |row: &Row<'_>| {
         let sigma = whole(row.get(1)?, 4 * CELLS);
         Ok(whole(row.get(0)?, CELLS).map(|confidence| Certainty { confidence, sigma }))
     };
@@ -136,30 +136,60 @@ pub(crate) fn certainty(
     found.optional().map(Option::flatten)
 }
 
-const ROWS: &str = "
-SELECT devices.name, version, state, origin, at_ms, why, blob
-FROM lookups JOIN devices ON devices.id = lookups.device
-WHERE ?1 IS NULL OR lookups.device = ?1
-ORDER BY lookups.device, lookups.id";
+/// Superseded and refused lookups of a device that are kept: the newest.
+const KEPT_PAST: i64 = 300;
 
-/// Returns every lookup of a device, or of all, oldest first.
-pub(crate) fn rows(
-    connection: &Connection,
-    device: Option<DeviceId>,
-) -> rusqlite::Result<Vec<LookupRow>> {
-    let mut statement = connection.prepare(ROWS)?;
-    let rows = statement.query_map([device], |row| {
-        Ok(LookupRow {
-            device: row.get(0)?,
-            version: row.get(1)?,
-            state: row.get(2)?,
-            origin: row.get(3)?,
-            at_ms: row.get(4)?,
-            why: row.get(5)?,
-            blob: row.get(6)?,
-        })
-    })?;
+/// Most lookups of a device that are listed: those that are kept, the active one and the pending one.
+const MOST_LISTED: i64 = KEPT_PAST + 2;
+
+/// Deletes all past lookups of each device but the newest.
+pub(crate) const DROP_PAST: (&str, i64) = (
+    "DELETE FROM lookups WHERE id IN (
+       SELECT id FROM (
+         SELECT id, row_number() OVER (PARTITION BY device ORDER BY id DESC) AS place
+         FROM lookups WHERE state IN ('superseded', 'refused')
+       ) WHERE place > ?1)",
+    KEPT_PAST,
+);
+
+const COLUMNS: &str = "
+SELECT devices.name, version, state, origin, at_ms, why, blob
+FROM lookups JOIN devices ON devices.id = lookups.device";
+
+fn lookup_row(row: &Row<'_>) -> rusqlite::Result<LookupRow> {
+    Ok(LookupRow {
+        device: row.get(0)?,
+        version: row.get(1)?,
+        state: row.get(2)?,
+        origin: row.get(3)?,
+        at_ms: row.get(4)?,
+        why: row.get(5)?,
+        blob: row.get(6)?,
+    })
+}
+
+/// Returns every lookup of all devices, oldest first.
+pub(crate) fn rows(connection: &Connection) -> rusqlite::Result<Vec<LookupRow>> {
+    let sql = format!("{COLUMNS} ORDER BY lookups.device, lookups.id");
+    let mut statement = connection.prepare(&sql)?;
+    let rows = statement.query_map([], lookup_row)?;
     rows.collect()
+}
+
+/// Returns the lookup of a version that is pending, or the newest one: after a reset of the device, versions count from 0 again. `None` for the
+/// version asks for the active lookup.
+pub(crate) fn one(
+    connection: &Connection,
+    device: &str,
+    version: Option<u32>,
+) -> rusqlite::Result<Option<LookupRow>> {
+    let sql = format!(
+        "{COLUMNS} WHERE devices.name = ?1 AND CASE WHEN ?2 IS NULL THEN state = 'active' ELSE version = ?2 END
+         ORDER BY state = 'pending' DESC, lookups.id DESC LIMIT 1"
+    );
+    connection
+        .query_row(&sql, params![device, version], lookup_row)
+        .optional()
 }
 
 impl Store {
@@ -274,12 +304,23 @@ impl Store {
             .map_err(self.failed("reading how well a lookup is known"))
     }
 
-    /// Returns every lookup of a device, oldest first.
+    /// Returns the lookups of a device, oldest first: the active one, the pending one and the newest others.
     ///
     /// # Errors
     /// Errors of the database.
     pub fn lookups(&self, device: DeviceId) -> Result<Vec<LookupRow>, StoreError> {
-        rows(self.records(), Some(device)).map_err(self.failed("listing lookups"))
+        let sql = format!(
+            "{COLUMNS} WHERE lookups.id IN (
+               SELECT id FROM lookups WHERE device = ?1
+               ORDER BY state IN ('active', 'pending') DESC, id DESC LIMIT ?2)
+             ORDER BY lookups.id"
+        );
+        let read = || -> rusqlite::Result<Vec<LookupRow>> {
+            let mut statement = self.records().prepare(&sql)?;
+            let rows = statement.query_map([device, MOST_LISTED], lookup_row)?;
+            rows.collect()
+        };
+        read().map_err(self.failed("listing lookups"))
     }
 }
 

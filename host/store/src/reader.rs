@@ -130,7 +130,19 @@ impl StoreReader {
     /// # Errors
     /// Errors of the database.
     pub fn lookups(&self) -> Result<Vec<LookupRow>, StoreError> {
-        lookups::rows(&self.records, None).map_err(self.failed("listing lookups"))
+        lookups::rows(&self.records).map_err(self.failed("listing lookups"))
+    }
+
+    /// Returns the newest lookup of a device of a version, the pending one first; for `None` the active one.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn lookup(
+        &self,
+        device: &str,
+        version: Option<u32>,
+    ) -> Result<Option<LookupRow>, StoreError> {
+        lookups::one(&self.records, device, version).map_err(self.failed("reading a lookup"))
     }
 
     /// Returns every device.

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::folder::{self, DayFile};
 use super::windows::SampleDropReason;
-use super::{SamplePolicy, Store, StoreError, clock, database};
+use super::{SamplePolicy, Store, StoreError, clock, database, lookups};
 
 /// Most rows in each of the tables of results, events and commands: some 2 GB of results.
 const MAX_ROWS: i64 = 10_000_000;
@@ -23,7 +23,7 @@ pub struct CollectionReport {
     pub bytes: u64,
     /// Windows whose samples were deleted by [`SamplePolicy::Informative`].
     pub samples_dropped: u64,
-    /// Rows of results, events and commands that were too many.
+    /// Rows of results, lookups, events and commands that were too many.
     pub rows: u64,
     /// Bytes that windows take now.
     pub bytes_left: u64,
@@ -66,8 +66,10 @@ impl Store {
             collected.samples_dropped = self.drop_uninformative_samples()?;
         }
         for table in ["results", "events", "audit"] {
-            collected.rows += self.drop_rows(table)?;
+            let sql = format!("DELETE FROM {table} WHERE id <= (SELECT max(id) FROM {table}) - ?1");
+            collected.rows += self.drop_rows((&sql, MAX_ROWS))?;
         }
+        collected.rows += self.drop_rows(lookups::DROP_PAST)?;
         checkpoint(self.records());
         for day in self.days.each() {
             checkpoint(&day.connection);
@@ -119,11 +121,8 @@ impl Store {
         Ok(dropped)
     }
 
-    fn drop_rows(&mut self, table: &str) -> Result<u64, StoreError> {
-        let sql = format!("DELETE FROM {table} WHERE id <= (SELECT max(id) FROM {table}) - ?1");
-        let rows = self.change("deleting old rows", |change| {
-            change.execute(&sql, [MAX_ROWS])
-        })?;
+    fn drop_rows(&mut self, (sql, kept): (&str, i64)) -> Result<u64, StoreError> {
+        let rows = self.change("deleting old rows", |change| change.execute(sql, [kept]))?;
         Ok(rows as u64)
     }
 

@@ -7,10 +7,9 @@ use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 use ihd_signal::interpolation::linear;
-use ihd_store::{Certainty, LookupRow, LookupState};
+use ihd_store::{Certainty, LookupRow};
 
 use super::View;
-use super::stored_lookup::newest;
 use crate::error::DaemonError;
 use crate::locking::lock;
 
@@ -29,21 +28,14 @@ impl View {
         let on_device = handle.and_then(|handle| handle.record.lock().lookup.on_device);
         let ages = lock(&self.ages).get(device).cloned().unwrap_or_default();
         let read = self.read_device(device, move |reader, device| {
-            let rows = reader.lookups()?;
-            let rows: Vec<_> = rows
-                .into_iter()
-                .filter(|row| row.device == device)
-                .collect();
-            let active = rows
-                .iter()
-                .rev()
-                .find(|row| row.state == LookupState::Active);
-            let version = version.or(on_device).or(active.map(|row| row.version));
+            let row = reader.lookup(device, version.or(on_device))?;
+            let version = version
+                .or(on_device)
+                .or(row.as_ref().map(|row| row.version));
             let version = version.unwrap_or(0);
             let mut ages = ages;
             ages.add(&reader.last_accepted(device, ages.last)?);
             let certainty = reader.certainty(device, version)?;
-            let row = newest(&rows, version).cloned();
             Ok((version, row, certainty, ages))
         });
         let (version, row, certainty, ages) = read.await?;

@@ -45,7 +45,16 @@ impl View {
         self.read(move |reader| reader.results(&filter)).await
     }
 
-    /// Returns all lookups of a device, oldest first.
+    /// Returns the active lookup of a device in the store; `None` for the built-in one.
+    ///
+    /// # Errors
+    /// Error of the store.
+    pub async fn active_lookup(&self, device: &str) -> Result<Option<LookupRow>, DaemonError> {
+        let device = device.to_owned();
+        self.read(move |reader| reader.lookup(&device, None)).await
+    }
+
+    /// Returns the lookups of a device, oldest first: the active one, the pending one and the newest others.
     ///
     /// # Errors
     /// [`DaemonError::NoDevice`], or an error of the store.

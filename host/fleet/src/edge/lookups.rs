@@ -11,7 +11,6 @@ use futures_util::stream::{SelectAll, StreamExt};
 use ihd_daemon::fleet::LookupCheck;
 use ihd_model::{Command, EventKind};
 use ihd_shared::lookup::RlLookup;
-use ihd_store::LookupState;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::link::{Link, RETRY_PAUSE};
@@ -118,9 +117,8 @@ async fn reconcile(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), Str
 
 /// Returns the lookup in use, `None` for the built-in one.
 async fn active(link: &Link, hob: &str) -> Result<Option<RlLookup>, String> {
-    let rows = link.daemon.view().lookups(hob).await;
-    let rows = rows.map_err(|e| e.to_string())?;
-    let active = rows.iter().rfind(|row| row.state == LookupState::Active);
+    let active = link.daemon.view().active_lookup(hob).await;
+    let active = active.map_err(|e| e.to_string())?;
     let lookup = active.map(|row| RlLookup::from_bytes(&row.blob));
     lookup.transpose().map_err(|e| e.to_string())
 }

@@ -2,7 +2,7 @@
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
-use ihd_store::{LookupState, Store, StoreError, StoreOptions};
+use ihd_store::{LookupState, Store, StoreError, StoreOptions, StoreReader};
 use proptest::prelude::*;
 
 use super::fixture::open;
@@ -114,6 +114,51 @@ fn what_the_device_uses_is_active() {
         rows.iter().find(|row| row.version == 0).unwrap().origin,
         "device"
     );
+}
+
+/// Each push leaves a row: a hob that learns for years neither fills the store nor makes a list of all of them.
+#[test]
+fn old_lookups_are_deleted_but_never_the_one_in_use_nor_the_pending_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &StoreOptions::default());
+    let [a, b] = ["a", "b"].map(|name| store.device(name, "sim").unwrap());
+    let past = 320;
+    for device in [a, b] {
+        // The one in use is the oldest row of all.
+        store.adopt_lookup(device, &lookup(0)).unwrap();
+        for version in 1..=past {
+            store
+                .pend_lookup(device, &lookup(version), "", None)
+                .unwrap();
+        }
+        store.refuse_lookup(device, past, "no").unwrap();
+        store
+            .pend_lookup(device, &lookup(past + 1), "", None)
+            .unwrap();
+    }
+    let kept = states(&store, a);
+    assert_eq!(kept.len(), 302, "listed before they are deleted");
+    assert_eq!(store.collect_garbage().unwrap().rows, 2 * 20);
+    let reader = StoreReader::open(folder.path()).unwrap();
+    assert_eq!(reader.lookups().unwrap().len(), 2 * 302);
+    for device in [a, b] {
+        assert_eq!(states(&store, device), kept);
+    }
+    let ends = (kept[0], kept[1], kept[300], kept[301]);
+    let superseded = (past - 299, Superseded);
+    assert_eq!(
+        ends,
+        (
+            (0, Active),
+            superseded,
+            (past, Refused),
+            (past + 1, Pending)
+        )
+    );
+    let version = |asked| reader.lookup("b", asked).unwrap().map(|row| row.version);
+    assert_eq!(version(None), Some(0));
+    assert_eq!(version(Some(past)), Some(past));
+    assert_eq!(version(Some(1)), None);
 }
 
 proptest! {
