@@ -5,7 +5,7 @@
 //!  │       ├─────► given up: no worker could identify it; answered after all if it is replayed
 //!  │       └─────► due again: the server has lost it
 //!  ├─────────────► learned here: the fleet has its result
-//!  └─────────────► given up: its samples were deleted before it was sent
+//!  └─────────────► given up: its samples were deleted or damaged before it was sent
 //! ```
 
 use rusqlite::{OptionalExtension, Row, params};
@@ -20,6 +20,9 @@ const LEARNED_HERE: &str = "learned here";
 
 /// Beginning of `windows.fleet_end` of a window that the fleet has given up; the reason follows.
 const DEAD: &str = "dead: ";
+
+/// `windows.fleet_end` of a window that cannot be read any more.
+const DAMAGED: &str = "dead: damaged in the store";
 
 /// Longest stored reason, in characters.
 const LONGEST_WHY: usize = 200;
@@ -46,7 +49,7 @@ pub enum FleetState {
 pub enum GiveUpReason {
     /// Its samples were deleted before it was sent.
     NoSamples,
-    /// No worker could identify it.
+    /// No worker could identify it, or it cannot be read.
     Dead,
 }
 
@@ -59,6 +62,8 @@ pub enum DeliveryState {
     Result,
     /// Neither samples nor a result are left to send.
     Nothing,
+    /// Its samples cannot be read.
+    Damaged,
 }
 
 /// Stored marks of the fleet's server, which show if it has lost its data.
@@ -92,6 +97,7 @@ impl DeliveryState {
             Self::Window => (1, None),
             Self::Result => (2, Some(LEARNED_HERE)),
             Self::Nothing => (2, Some(NO_SAMPLES)),
+            Self::Damaged => (2, Some(DAMAGED)),
         }
     }
 }

@@ -25,7 +25,8 @@ pub enum OutboxItem {
 
 const DUE: &str = "
 SELECT device, boot, seq, at_ms FROM windows INDEXED BY windows_due
-WHERE fleet = 0 ORDER BY at_ms, id LIMIT ?1";
+WHERE fleet = 0 AND (?2 IS NULL OR device IN (SELECT value FROM json_each(?2)))
+ORDER BY at_ms, id LIMIT ?1";
 
 impl Store {
     /// Returns the oldest due windows, `limit` at most.
@@ -33,12 +34,31 @@ impl Store {
     /// # Errors
     /// Errors of the databases or the operating system.
     pub fn due(&mut self, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
-        let mut due = Vec::new();
+        self.due_of(None, limit)
+    }
+
+    /// Returns the oldest due windows of these devices, or of all, `limit` at most.
+    ///
+    /// # Errors
+    /// Errors of the databases or the operating system.
+    pub fn due_of(
+        &mut self,
+        devices: Option<&[String]>,
+        limit: usize,
+    ) -> Result<Vec<DueWindow>, StoreError> {
+        let devices = devices.map(|names| serde_json::json!(names).to_string());
+        let (mut due, mut all_done) = (Vec::new(), true);
         for file in self.days_with_due()? {
             let left = limit - due.len();
             let day = file.day.clone();
-            let of_day = self.on_day(file, |day| day.due(left))?;
-            if of_day.is_empty() && due.is_empty() {
+            let (of_day, is_done) = self.on_day(file, |day| {
+                let of_day = day.due(devices.as_deref(), left)?;
+                // Windows of other devices may become due again.
+                let is_done = of_day.is_empty() && (devices.is_none() || day.count_due()? == 0);
+                Ok((of_day, is_done))
+            })?;
+            all_done &= is_done;
+            if all_done {
                 self.none_due_to = Some(day);
             }
             due.extend(of_day);
@@ -255,11 +275,13 @@ impl Store {
 }
 
 impl Day {
-    fn due(&self, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
+    fn due(&self, devices: Option<&str>, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
         let read = || -> rusqlite::Result<Vec<DueWindow>> {
             let mut statement = self.connection.prepare(DUE)?;
             let row = |row: &Row<'_>| self.due_window(row);
-            statement.query_map([limit as i64], row)?.collect()
+            statement
+                .query_map(params![limit as i64, devices], row)?
+                .collect()
         };
         read().map_err(StoreError::database(self.path(), "looking for what is due"))
     }

@@ -118,14 +118,19 @@ impl FleetAccess {
         self.delegation.is_delegated()
     }
 
-    /// Returns the oldest windows that are due at the fleet, at most `limit`, without those that are being identified here.
+    /// Returns the oldest windows of these hobs that are due at the fleet, at most `limit`, without those that are being identified here.
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn due_windows(&self, limit: usize) -> Result<Vec<DueWindow>, StoreThreadError> {
+    pub async fn due_windows(
+        &self,
+        hobs: Vec<String>,
+        limit: usize,
+    ) -> Result<Vec<DueWindow>, StoreThreadError> {
         let learner = self.learner.get();
         let held = learner.as_ref().map_or(0, |learner| learner.most_pending());
-        let mut due = self.in_store(move |store| store.due(limit + held)).await?;
+        let due = self.in_store(move |store| store.due_of(Some(&hobs), limit + held));
+        let mut due = due.await?;
         if let Some(learner) = learner {
             due.retain(|w| !learner.is_pending(&w.device, w.boot, w.seq));
         }

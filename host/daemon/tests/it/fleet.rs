@@ -41,7 +41,11 @@ async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
                 .fleet()
                 .delegate_until(Some(Instant::now() + DELEGATION_TIME));
             power(daemon, "a", 1_000).await.unwrap();
-            let due = daemon.fleet().due_windows(100).await.unwrap();
+            let due = daemon
+                .fleet()
+                .due_windows(vec!["bench".to_owned()], 100)
+                .await
+                .unwrap();
             if due.len() >= count {
                 return due;
             }
@@ -283,13 +287,24 @@ async fn an_edge_that_was_started_again_goes_on_sending() {
 
     let daemon = edge(&rig).await;
     // Windows that came while the power was switched off.
-    let late = daemon.fleet().due_windows(100).await.unwrap();
+    let late = daemon
+        .fleet()
+        .due_windows(vec!["bench".to_owned()], 100)
+        .await
+        .unwrap();
     let late = late
         .into_iter()
         .map(|due| (due, DeliveryState::Result))
         .collect();
     daemon.fleet().mark_sent(late).await.unwrap();
-    assert_eq!(daemon.fleet().due_windows(100).await.unwrap(), []);
+    assert_eq!(
+        daemon
+            .fleet()
+            .due_windows(vec!["bench".to_owned()], 100)
+            .await
+            .unwrap(),
+        []
+    );
     assert!(!heat_until_due(&daemon, 1).await.is_empty());
     daemon.stop().await;
 }

@@ -32,7 +32,7 @@ pub struct EventMessage {
     pub text: String,
 }
 
-/// Sends until the edge stops. Events of the daemon itself, without a device, stay in its store.
+/// Sends until the edge stops. Events of the daemon itself, and of hobs that it has no more, stay in its store.
 pub async fn run(link: Arc<Link>) {
     while link.turn("events", RETRY_PAUSE, take_turn(&link)).await {}
 }
@@ -54,9 +54,9 @@ async fn send_batch(link: &Link) -> Result<usize, String> {
     let due = link.daemon.fleet().due_events(BATCH).await;
     let due = due.map_err(|e| e.to_string())?;
     let count = due.len();
-    let mut under_way = Vec::new();
+    let (hobs, mut under_way) = (link.hobs(), Vec::new());
     for (number, event) in due {
-        under_way.push((number, send(link, number, event).await?));
+        under_way.push((number, send(link, &hobs, number, event).await?));
     }
     let mut up_to = None;
     let mut failed = None;
@@ -81,8 +81,14 @@ async fn send_batch(link: &Link) -> Result<usize, String> {
     failed.map_or(Ok(count), Err)
 }
 
-async fn send(link: &Link, number: i64, event: EventRow) -> Result<Option<PendingAck>, String> {
-    let Some(hob) = event.device.filter(|hob| ihd_daemon::config::is_name(hob)) else {
+/// Publishes an event; `None` if it is of none of these hobs. An edge may publish nothing of a hob that it has no more.
+async fn send(
+    link: &Link,
+    hobs: &[String],
+    number: i64,
+    event: EventRow,
+) -> Result<Option<PendingAck>, String> {
+    let Some(hob) = event.device.filter(|hob| hobs.contains(hob)) else {
         return Ok(None);
     };
     let message = EventMessage {

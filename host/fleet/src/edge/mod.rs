@@ -25,6 +25,8 @@ mod outbox;
 mod pots;
 pub(crate) mod state;
 mod states;
+#[cfg(test)]
+mod tests;
 mod trust;
 
 use std::sync::{Arc, Mutex};

@@ -7,7 +7,7 @@ use std::time::Duration;
 use ihd_daemon::StoreThreadError;
 use ihd_daemon::learning::WorkerAnswer;
 use ihd_model::EventKind;
-use ihd_store::{DeliveryState, DueWindow, FleetMark, OutboxItem};
+use ihd_store::{DeliveryState, DueWindow, FleetMark, OutboxItem, StoreError};
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
@@ -139,7 +139,7 @@ pub(super) async fn resend_all(link: &Link, why: &str) -> Result<(), StoreThread
 /// Sends a batch and waits for all acknowledgements together; returns the number of due windows. Acknowledged windows are recorded, even if
 /// others fail.
 async fn send_batch(link: &Link, message_ids: &MessageIds) -> Result<usize, SendError> {
-    let due = link.daemon.fleet().due_windows(BATCH).await?;
+    let due = link.daemon.fleet().due_windows(link.hobs(), BATCH).await?;
     let count = due.len();
     let deadline = Instant::now() + BATCH_WITHIN;
     let mut batch = Batch::default();
@@ -178,7 +178,7 @@ struct Batch {
 }
 
 impl Batch {
-    /// Sends up to the first failure.
+    /// Sends up to the first failure; damaged windows are given up.
     async fn send(
         &mut self,
         link: &Link,
@@ -186,12 +186,17 @@ impl Batch {
         due: Vec<DueWindow>,
     ) -> Result<(), SendError> {
         for due in due {
-            match send(link, message_ids, &due).await? {
-                Some((what, acknowledged)) => {
+            match send(link, message_ids, &due).await {
+                Ok(Some((what, acknowledged))) => {
                     let acknowledged = async move { (due, what, acknowledged.await) };
                     self.under_way.push(Box::pin(acknowledged));
                 }
-                None => self.sent.push((due, DeliveryState::Nothing)),
+                Ok(None) => self.sent.push((due, DeliveryState::Nothing)),
+                Err(SendError::Store(StoreThreadError::Store(why @ StoreError::Window { .. }))) => {
+                    tracing::warn!(%why, "a damaged window: it is given up");
+                    self.sent.push((due, DeliveryState::Damaged));
+                }
+                Err(why) => return Err(why),
             }
         }
         Ok(())

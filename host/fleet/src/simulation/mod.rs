@@ -11,7 +11,7 @@
 //! so many.
 
 pub mod line;
-mod server;
+pub mod server;
 mod watch;
 mod weather;
 mod workers;

@@ -78,6 +78,35 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
     assert_eq!(store.unanswered(i64::MAX, 0, 10).unwrap(), []);
 }
 
+/// A hob that was renamed, and that has its name again later.
+#[test]
+fn windows_of_other_devices_are_passed_over_and_stay_due() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS - 2 * DAY_MS);
+    let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
+    let mut store = opened.unwrap().store;
+    let gone = store.device("gone", "sim").unwrap();
+    let gone = store.begin_session(gone, &hello(7), &FRONT_END).unwrap();
+    store.keep_window_for(gone, &window(1), true).unwrap();
+    clock.forward(DAY_MS);
+    let of = session(&mut store);
+    store.keep_window_for(of, &window(2), true).unwrap();
+    let due_of = |device: &str, store: &mut Store| {
+        let due = store.due_of(Some(&[device.to_owned()]), 1).unwrap();
+        due.into_iter().map(|due| due.seq).collect::<Vec<_>>()
+    };
+    assert_eq!(due_of("bench", &mut store), [2]);
+    let due = store.due(2).unwrap();
+    let ends = [(due[1].clone(), DeliveryState::Damaged)];
+    store.mark_sent(&ends).unwrap();
+    assert_eq!(
+        store.fleet_state("bench", 7, 2).unwrap(),
+        Some(FleetState::GivenUp(GiveUpReason::Dead))
+    );
+    assert!(due_of("bench", &mut store).is_empty());
+    assert_eq!(due_of("gone", &mut store), [1]);
+}
+
 fn tally(store: &mut Store) -> FleetStates {
     let days = store.days_of_windows().unwrap();
     let of = |day: &String| store.fleet_tally(day).unwrap();

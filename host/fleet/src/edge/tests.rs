@@ -1,0 +1,144 @@
+//! Tasks of an edge beside a simulated daemon and server, in simulated time.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use ihd_daemon::simulation::{HobKind, World, start};
+use ihd_daemon::{Daemon, DaemonConfig};
+use ihd_link::Window;
+use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
+use ihd_shared::wire::messages::FrontEnd;
+use ihd_store::{Store, StoreOptions};
+use tempfile::TempDir;
+use tokio::sync::watch;
+use tokio::time::sleep;
+
+use super::link::Link;
+use super::state::{State, lock};
+use super::{events, outbox};
+use crate::names;
+use crate::server::FleetServer;
+use crate::simulation::line::SimulatedConnection;
+use crate::simulation::server::ServerMemory;
+use crate::standing::Standing;
+use crate::wire::tests::window_message;
+
+/// 2026-11-22T20:00:00Z, some hours before the simulated world begins.
+const EVENING_MS: i64 = 1_795_377_600_000;
+
+const DAY_MS: i64 = 86_400_000;
+
+/// An admitted edge with the hobs "left" and "right".
+struct Bench {
+    _folder: TempDir,
+    memory: Arc<ServerMemory>,
+    daemon: Daemon,
+    link: Arc<Link>,
+    _stop: watch::Sender<bool>,
+}
+
+impl Bench {
+    async fn start(folder: TempDir) -> Self {
+        // Seed 0 is calm.
+        let world = World::new(0, HobKind::Script, true);
+        let text = "discover_usb = false
+            [[device]]\nname = \"left\"\naddress = \"serial:left\"
+            [[device]]\nname = \"right\"\naddress = \"serial:right\"
+            [fleet]\nurl = \"nats://simulated\"\nedge = \"kitchen\"\n";
+        let mut config = DaemonConfig::parse(text, "test").unwrap();
+        config.store = folder.path().to_owned();
+        let daemon = start(&world, config).await.unwrap();
+        let (memory, state) = (ServerMemory::new(), State::begin());
+        {
+            let mut state = lock(&state);
+            state.connect();
+            state.standing = Standing::Held;
+        }
+        let line = SimulatedConnection::new(world, Arc::clone(&memory), Arc::clone(&state), 0);
+        let (stop, stopped) = watch::channel(false);
+        let link = Link::new(
+            daemon.clone(),
+            "kitchen".to_owned(),
+            "nats://simulated".to_owned(),
+            FleetServer::Simulated(line),
+            state,
+            stopped,
+        );
+        Self {
+            _folder: folder,
+            memory,
+            daemon,
+            link: Arc::new(link),
+            _stop: stop,
+        }
+    }
+}
+
+/// Stores windows of a device that are due, and an event.
+fn fill(folder: &Path, device: &str, at_ms: i64, windows: u32) {
+    let settings = StoreOptions::default();
+    let opened = Store::open_with_clock(folder, &settings, Arc::new(move || at_ms));
+    let mut store = opened.unwrap().store;
+    // Events from here on are for the fleet.
+    store.due_events(1).unwrap();
+    let id = store.device(device, "serial:/dev/null").unwrap();
+    let hello = ours(ROLE_DEVICE, 1, 7, "ihd-firmware 0.1.0", "sim");
+    let front_end = FrontEnd {
+        v_full_scale_mv: 700_000,
+        i_full_scale_ma: 90_000,
+        bus_full_scale_mv: 450_000,
+        mains_full_scale_mv: 450_000,
+        bits: 12,
+    };
+    let session = store.begin_session(id, &hello, &front_end).unwrap();
+    for seq in 0..windows {
+        let window = Window {
+            seq,
+            ..window_message().window
+        };
+        store.keep_window_for(session, &window, true).unwrap();
+    }
+    store.event(Some(id), "state", "it was there").unwrap();
+}
+
+/// Damages the samples or the trajectory of one window of a day.
+fn damage(day: &Path) {
+    const ZSTD: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+    let mut bytes = std::fs::read(day).unwrap();
+    let packed = bytes.windows(4).rposition(|at| at == ZSTD).unwrap();
+    bytes[packed] = 0;
+    std::fs::write(day, bytes).unwrap();
+}
+
+/// More than a batch of an old name are the oldest windows: the key of the edge has no rights for them any more.
+#[tokio::test(start_paused = true)]
+async fn a_damaged_window_and_a_renamed_hob_hold_up_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    fill(folder.path(), "renamed", EVENING_MS - DAY_MS, 70);
+    fill(folder.path(), "left", EVENING_MS, 3);
+    damage(&folder.path().join("windows-2026-11-22.db"));
+    let bench = Bench::start(folder).await;
+    tokio::spawn(outbox::run(Arc::clone(&bench.link)));
+    tokio::spawn(events::run(Arc::clone(&bench.link)));
+    sleep(Duration::from_secs(20)).await;
+    let tally = bench.daemon.fleet().tally().await.unwrap();
+    assert_eq!((tally.due, tally.sent, tally.dead), (70, 2, 1), "{tally:?}");
+    {
+        let mut disk = bench.memory.disk();
+        let mut count = |stream: &str, subject: String| {
+            let messages = disk.stream(stream).messages.values();
+            messages.filter(|m| m.subject == subject).count()
+        };
+        assert_eq!(count(names::WINDOWS, names::window("left")), 2);
+        assert_eq!(count(names::WINDOWS, names::window("renamed")), 0);
+        assert!(count(names::EVENTS, names::event("left")) > 0);
+        assert_eq!(count(names::EVENTS, names::event("renamed")), 0);
+    }
+    assert_eq!(bench.link.failure_text(), "");
+    // With its name it is sent.
+    let again = bench.daemon.fleet();
+    let due = again.due_windows(vec!["renamed".to_owned()], 100).await;
+    assert_eq!(due.unwrap().len(), 70);
+    bench.daemon.stop().await;
+}
