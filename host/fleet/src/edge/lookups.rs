@@ -9,7 +9,7 @@ use std::time::Duration;
 use async_nats::jetstream::{Context, kv};
 use futures_util::stream::{SelectAll, StreamExt};
 use ihd_daemon::fleet::LookupCheck;
-use ihd_model::{Command, EventKind};
+use ihd_model::{Command, DeviceState, EventKind};
 use ihd_shared::lookup::RlLookup;
 use tokio::sync::broadcast::error::RecvError;
 
@@ -123,8 +123,28 @@ async fn active(link: &Link, hob: &str) -> Result<Option<RlLookup>, String> {
     lookup.transpose().map_err(|e| e.to_string())
 }
 
-/// Pushes a requested lookup unless it contradicts the hob's own observations; `None` while there are none to compare with.
-async fn push(link: &Link, hob: &str, requested: &LookupMessage) -> Result<Option<String>, String> {
+/// Returns `true` while a hob can take a lookup: it is connected, and nobody else commands it. A command would be refused otherwise, and be
+/// logged and audited at each poll.
+fn is_free(link: &Link, hob: &str) -> bool {
+    use DeviceState::{Incompatible, Searching, Suspended};
+    let report = link.daemon.view().device(hob);
+    report.is_some_and(|report| {
+        let holder = report.lease.map(|lease| lease.holder);
+        !matches!(report.state, Searching | Incompatible | Suspended)
+            && holder.is_none_or(|holder| holder == HOLDER)
+    })
+}
+
+/// Pushes a requested lookup unless it contradicts the hob's own observations; `None` while there are none to compare with, and while the hob
+/// cannot take it.
+pub(super) async fn push(
+    link: &Link,
+    hob: &str,
+    requested: &LookupMessage,
+) -> Result<Option<String>, String> {
+    if !is_free(link, hob) {
+        return Ok(None);
+    }
     let blob = requested.blob()?;
     let lookup = RlLookup::from_bytes(&blob).map_err(|e| e.to_string())?;
     match link.daemon.fleet().check_lookup(hob, &lookup) {

@@ -7,16 +7,21 @@ use std::time::Duration;
 use ihd_daemon::simulation::{HobKind, World, start};
 use ihd_daemon::{Daemon, DaemonConfig};
 use ihd_link::Window;
+use ihd_model::DeviceState;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::FrontEnd;
-use ihd_store::{Store, StoreOptions};
+use ihd_store::{Store, StoreOptions, StoreReader};
 use tempfile::TempDir;
 use tokio::sync::watch;
 use tokio::time::sleep;
 
 use super::link::Link;
+use super::lookups::push;
 use super::state::{State, lock};
 use super::{events, outbox};
+use crate::lookups::LookupMessage;
 use crate::names;
 use crate::server::FleetServer;
 use crate::simulation::line::SimulatedConnection;
@@ -31,7 +36,8 @@ const DAY_MS: i64 = 86_400_000;
 
 /// An admitted edge with the hobs "left" and "right".
 struct Bench {
-    _folder: TempDir,
+    folder: TempDir,
+    world: Arc<World>,
     memory: Arc<ServerMemory>,
     daemon: Daemon,
     link: Arc<Link>,
@@ -55,7 +61,12 @@ impl Bench {
             state.connect();
             state.standing = Standing::Held;
         }
-        let line = SimulatedConnection::new(world, Arc::clone(&memory), Arc::clone(&state), 0);
+        let line = SimulatedConnection::new(
+            Arc::clone(&world),
+            Arc::clone(&memory),
+            Arc::clone(&state),
+            0,
+        );
         let (stop, stopped) = watch::channel(false);
         let link = Link::new(
             daemon.clone(),
@@ -66,11 +77,18 @@ impl Bench {
             stopped,
         );
         Self {
-            _folder: folder,
+            folder,
+            world,
             memory,
             daemon,
             link: Arc::new(link),
             _stop: stop,
+        }
+    }
+
+    async fn until_idle(&self, hob: &str) {
+        while self.daemon.view().device(hob).unwrap().state != DeviceState::Idle {
+            sleep(Duration::from_millis(100)).await;
         }
     }
 }
@@ -141,4 +159,39 @@ async fn a_damaged_window_and_a_renamed_hob_hold_up_no_other() {
     let due = again.due_windows(vec!["renamed".to_owned()], 100).await;
     assert_eq!(due.unwrap().len(), 70);
     bench.daemon.stop().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lookup_for_a_hob_that_is_away_or_commanded_waits_without_a_command() {
+    let bench = Bench::start(tempfile::tempdir().unwrap()).await;
+    bench.until_idle("right").await;
+    bench.until_idle("left").await;
+    let lookup = RlLookup {
+        version: 1,
+        ..prior()
+    };
+    let requested = LookupMessage::new(&lookup, "ada", false);
+    {
+        let left = &mut bench.world.lock().sockets[0];
+        (left.is_plugged, left.connection) = (false, left.connection + 1);
+    }
+    while bench.daemon.view().device("left").unwrap().state != DeviceState::Searching {
+        sleep(Duration::from_millis(100)).await;
+    }
+    bench
+        .daemon
+        .take_lease("right", "ada", false)
+        .await
+        .unwrap();
+    for hob in ["left", "right"] {
+        assert_eq!(push(&bench.link, hob, &requested).await, Ok(None), "{hob}");
+    }
+    bench.daemon.release_lease("right", "ada").await.unwrap();
+    let pushed = push(&bench.link, "right", &requested).await;
+    assert!(matches!(pushed, Ok(Some(_))), "{pushed:?}");
+    bench.daemon.stop().await;
+    let reader = StoreReader::open(bench.folder.path()).unwrap();
+    let commands = reader.audit(50).unwrap();
+    let of_fleet = commands.iter().filter(|row| row.holder == "fleet").count();
+    assert_eq!(of_fleet, 1, "{commands:?}");
 }
