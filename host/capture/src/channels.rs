@@ -175,14 +175,13 @@ fn chosen(
     let side = usize::from(quantity == ColumnQuantity::Current);
     let ratio = options.probe.map_or(1.0, |probe| probe[side]);
     let stated = options.units.map(|units| units[side]);
-    // A ratio or an exchange given by the user overrides the unit in the file.
+    // A ratio or an exchange given by the user overrides what a unit measures.
     let settled = options.probe.is_some() || options.swap;
     let in_file = channels.get(index).and_then(|c| c.unit);
-    let scale = match (stated, in_file) {
-        (Some(unit), _) => unit.scale,
-        (None, None) => 1.0,
-        (None, Some(unit)) if unit.quantity == quantity || settled => unit.scale,
-        (None, Some(unit)) => {
+    let scale = match stated.or(in_file) {
+        None => 1.0,
+        Some(unit) if unit.quantity == quantity || settled => unit.scale,
+        Some(unit) => {
             let (what, flag) = match quantity {
                 ColumnQuantity::Current => (
                     "current",
@@ -193,8 +192,12 @@ fn chosen(
                     "exchange the channels with --input swap or channels",
                 ),
             };
+            let stated = match stated {
+                Some(_) => " by --input units=V,I",
+                None => "",
+            };
             return Err(format!(
-                "channel {} for the {what} is in {unit}; {flag}",
+                "channel {} for the {what} is in {unit}{stated}; {flag}",
                 index + 1
             ));
         }
@@ -283,6 +286,13 @@ mod tests {
         };
         let [v, i] = choose(&both_volt, &settled).unwrap();
         assert_eq!((v.factor, i.factor), (100.0, -10.0));
+        let exchanged = ChannelOptions {
+            units: Some([Unit::AMPERE, Unit::VOLT]),
+            ..ChannelOptions::default()
+        };
+        let names = [channel("v", None), channel("i", None)];
+        let asked = choose(&names, &exchanged).unwrap_err();
+        assert!(asked.contains("--input units=V,I"), "{asked}");
         let missing = ChannelOptions {
             channels: Some([ChannelRef::Number(0), ChannelRef::Number(9)]),
             ..ChannelOptions::default()

@@ -3,27 +3,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
-use clap::{Args, ValueEnum};
-use ihd_capture::channels::{ChannelOptions, ChannelRef};
-use ihd_capture::formats::unit::Unit;
+use clap::Args;
 use ihd_capture::mcap::{FileLosses, SalvagedCapture};
 use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError, OpenOptions, PartReader};
 use ihd_signal::Capture;
+use ihd_survey::SurveyError;
 use ihd_survey::calibration::Calibration;
-use ihd_survey::{Hints, SurveyError};
 
-use super::simulate::quantity::{list, quantity};
+use super::input_options::InputOptions;
 use super::{keys, output};
-
-/// Channel whose sign is changed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Invert {
-    /// Voltage.
-    V,
-    /// Current.
-    I,
-}
 
 /// Capture, and how it is read. Formats and detection: docs/captures.md.
 #[derive(Clone, Debug, Args)]
@@ -40,64 +29,6 @@ pub struct CaptureArgs {
     /// Take skew, gain and offsets out by this file of ihd calibrate
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-}
-
-/// Reading of a capture as the user states it: keys of `--input`.
-#[derive(Clone, Debug, Args)]
-pub struct InputOptions {
-    /// Voltage and current channel, by number (from 1) or name; else found by unit and name
-    #[arg(long, value_name = "V,I", value_parser = pair)]
-    channels: Option<[ChannelRef; 2]>,
-    /// Time, voltage and current column of a table, by number (from 1) or name; T is - for no time
-    #[arg(long, value_name = "T,V,I", value_parser = triple, conflicts_with = "channels")]
-    columns: Option<[ChannelRef; 3]>,
-    /// Factors: ratio of the voltage probe, ampere per volt of the current probe
-    #[arg(long, value_name = "V,I", value_parser = list::<2>)]
-    probe: Option<[f64; 2]>,
-    /// Units of voltage and current, as in mV,mA, instead of the file's
-    #[arg(long, value_name = "V,I", value_parser = units)]
-    units: Option<[Unit; 2]>,
-    /// Change the sign of the voltage, the current, or both (v,i)
-    #[arg(long, value_name = "CHANNELS", value_delimiter = ',')]
-    invert: Vec<Invert>,
-    /// Exchange voltage and current
-    #[arg(long)]
-    swap: bool,
-    /// Sampling rate in S/s instead of the file's time
-    #[arg(long, value_name = "HZ", value_parser = quantity)]
-    rate: Option<f64>,
-    /// Switching frequency in Hz, instead of the capture's
-    #[arg(long, value_name = "HZ", value_parser = quantity)]
-    fsw: Option<f64>,
-    /// Mains frequency in Hz, instead of the capture's
-    #[arg(long, value_name = "HZ", value_parser = quantity)]
-    mains: Option<f64>,
-    /// Time of a mains zero crossing in s, instead of the capture's
-    #[arg(long, value_name = "S", value_parser = quantity)]
-    zero_crossing: Option<f64>,
-    /// Value of the resonance capacitor in F (1080n): the gains are checked against it
-    #[arg(long, value_name = "F", value_parser = quantity)]
-    resonance_capacitance: Option<f64>,
-}
-
-fn several<const N: usize>(text: &str) -> Result<[ChannelRef; N], String> {
-    let all: Vec<_> = text.split(',').map(ChannelRef::parse).collect();
-    all.try_into()
-        .map_err(|_| format!("`{text}` must be {N} numbers or names with commas between them"))
-}
-
-fn pair(text: &str) -> Result<[ChannelRef; 2], String> {
-    several(text)
-}
-
-fn triple(text: &str) -> Result<[ChannelRef; 3], String> {
-    several(text)
-}
-
-fn units(text: &str) -> Result<[Unit; 2], String> {
-    let both: Option<Vec<Unit>> = text.split(',').map(Unit::parse).collect();
-    both.and_then(|units| units.try_into().ok())
-        .ok_or_else(|| format!("`{text}` must be two units with a comma between them, as in mV,A"))
 }
 
 impl CaptureArgs {
@@ -121,18 +52,7 @@ impl CaptureArgs {
     /// # Errors
     /// [`Usage`](super::usage::Usage), naming the key, its value and what is accepted.
     pub fn input(&self) -> Result<InputOptions> {
-        let input: InputOptions = keys::parse("--input", &self.input)?;
-        for (key, value) in [
-            ("rate", input.rate),
-            ("resonance-capacitance", input.resonance_capacitance),
-        ] {
-            ensure_usage!(
-                value.is_none_or(|value| value.is_finite() && value > 0.0),
-                "--input {key}={}: must be a number above zero",
-                value.unwrap_or_default()
-            );
-        }
-        Ok(input)
+        keys::parse("--input", &self.input)
     }
 
     /// Converts the arguments to options.
@@ -140,20 +60,7 @@ impl CaptureArgs {
     /// # Errors
     /// Any error of [`CaptureArgs::input`].
     pub fn options(&self) -> Result<OpenOptions> {
-        let input = self.input()?;
-        Ok(OpenOptions {
-            second: self.second.clone(),
-            channels: ChannelOptions {
-                channels: input.channels,
-                units: input.units,
-                probe: input.probe,
-                invert_v: input.invert.contains(&Invert::V),
-                invert_i: input.invert.contains(&Invert::I),
-                swap: input.swap,
-            },
-            columns: input.columns,
-            rate_hz: input.rate,
-        })
+        Ok(self.input()?.open_options(self.second.clone()))
     }
 
     /// Opens the capture.
@@ -215,47 +122,6 @@ impl CaptureArgs {
             output::complain(format_args!("warning: {}: {doubt}", path.display()));
         }
         Ok(Some(calibration))
-    }
-}
-
-impl InputOptions {
-    /// User's specifications for the survey.
-    pub fn hints(&self) -> Hints {
-        Hints {
-            f_sw_hz: self.fsw,
-            mains_hz: self.mains,
-            zero_crossing_s: self.zero_crossing,
-            swapped: self.swap,
-            inverted: self.invert.len() == 1,
-        }
-    }
-
-    /// Value of the resonance capacitor in F.
-    pub fn capacitance_f(&self) -> Option<f64> {
-        self.resonance_capacitance
-    }
-
-    /// Refuses keys that a command has no use for.
-    ///
-    /// # Errors
-    /// [`Usage`](super::usage::Usage), naming the key.
-    pub fn refuse(&self, keys: &[&str]) -> Result<()> {
-        let given = [
-            ("fsw", self.fsw.is_some()),
-            ("mains", self.mains.is_some()),
-            ("zero-crossing", self.zero_crossing.is_some()),
-            (
-                "resonance-capacitance",
-                self.resonance_capacitance.is_some(),
-            ),
-        ];
-        for (key, is_given) in given {
-            ensure_usage!(
-                !is_given || !keys.contains(&key),
-                "--input {key}: this command has no use for it"
-            );
-        }
-        Ok(())
     }
 }
 

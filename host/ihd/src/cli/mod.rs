@@ -20,6 +20,7 @@ pub mod flash;
 pub mod global;
 pub mod hob;
 pub mod identify;
+pub mod input_options;
 pub mod inspect;
 pub mod interrupt;
 pub mod keys;

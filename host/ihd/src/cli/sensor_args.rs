@@ -3,7 +3,7 @@
 use clap::{Args, ValueEnum};
 use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
 
-use super::capture_args::InputOptions;
+use super::input_options::InputOptions;
 
 /// Treatment of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
