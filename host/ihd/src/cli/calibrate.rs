@@ -87,6 +87,7 @@ impl CalibrateArgs {
     /// # Errors
     /// Any error of the capture's reader, the survey or the calibration; a file that cannot be written.
     pub fn run(&self, global: &Global) -> Result<()> {
+        self.capture.ensure_not_read(self.out.as_deref())?;
         let loaded = self.capture.open()?;
         loaded.finish(self.calibrate(&loaded.capture, global.json))
     }

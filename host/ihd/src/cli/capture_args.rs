@@ -63,6 +63,22 @@ impl CaptureArgs {
         Ok(self.input()?.open_options(self.second.clone()))
     }
 
+    /// Refuses an output that is also what is read.
+    ///
+    /// # Errors
+    /// [`Usage`](super::usage::Usage), naming the file.
+    pub fn ensure_not_read<'a>(&self, outs: impl IntoIterator<Item = &'a Path>) -> Result<()> {
+        for out in outs {
+            let mut read = self.paths().chain(self.calibration.as_deref());
+            ensure_usage!(
+                !read.any(|input| is_same_file(input, out)),
+                "{} is also what is read: give the output another name",
+                out.display()
+            );
+        }
+        Ok(())
+    }
+
     /// Opens the capture.
     ///
     /// # Errors
@@ -122,6 +138,21 @@ impl CaptureArgs {
             output::complain(format_args!("warning: {}: {doubt}", path.display()));
         }
         Ok(Some(calibration))
+    }
+}
+
+/// Returns `true` if both names are of one file, by a link too.
+fn is_same_file(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let identity = |path: &Path| std::fs::metadata(path).ok().map(|m| (m.dev(), m.ino()));
+        identity(a).is_some_and(|of_a| identity(b) == Some(of_a))
+    }
+    #[cfg(not(unix))]
+    {
+        let name = |path: &Path| path.canonicalize().ok();
+        name(a).is_some_and(|of_a| name(b) == Some(of_a))
     }
 }
 

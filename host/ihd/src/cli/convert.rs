@@ -43,14 +43,7 @@ impl ConvertArgs {
         format::check(&self.out).map_err(Usage::of)?;
         let unused = ["fsw", "mains", "zero-crossing", "resonance-capacitance"];
         self.capture.input()?.refuse(&unused)?;
-        for input in self.capture.paths() {
-            let same = input.canonicalize().ok().zip(self.out.canonicalize().ok());
-            ensure_usage!(
-                same.is_none_or(|(input, out)| input != out),
-                "{} is also what is read: give --out another name",
-                self.out.display()
-            );
-        }
+        self.capture.ensure_not_read([self.out.as_path()])?;
         let bar = ProgressBar::new(1000);
         let style = "{msg:8} {bar:40} {percent:>3} %  {eta} left";
         bar.set_style(ProgressStyle::with_template(style)?);

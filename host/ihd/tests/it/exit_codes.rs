@@ -105,6 +105,31 @@ fn wrong_usage_is_2_whoever_finds_it() {
     }
 }
 
+/// A capture cannot be recorded again: no command writes its result over it, under no name of it.
+#[test]
+fn what_is_read_is_not_overwritten() {
+    let (_keep, dir) = folder();
+    for name in ["a.csv", "a.svg"] {
+        std::fs::copy(dir.join("a.mcap"), dir.join(name)).unwrap();
+    }
+    std::fs::hard_link(dir.join("a.csv"), dir.join("b.csv")).unwrap();
+    let before = std::fs::read(dir.join("a.csv")).unwrap();
+    for args in [
+        "identify a.csv --out found.svg --out a.csv",
+        "identify a.csv --out b.csv",
+        "convert a.csv --out b.csv",
+        "calibrate a.csv --reference r=3,l=19u --out a.csv",
+        "inspect a.svg --plot a.svg",
+    ] {
+        let (code, _, stderr) = run(&dir, args);
+        assert_eq!(code, 2, "{args}: {stderr}");
+        assert!(stderr.contains("also what is read"), "{args}: {stderr}");
+    }
+    for name in ["a.csv", "a.svg", "b.csv"] {
+        assert!(std::fs::read(dir.join(name)).unwrap() == before, "{name}");
+    }
+}
+
 #[test]
 fn what_fails_is_1_and_names_the_file() {
     let dir = tempfile::tempdir().unwrap();

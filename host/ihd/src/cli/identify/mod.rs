@@ -151,6 +151,8 @@ impl ValueEnum for MethodWord {
 impl IdentifyArgs {
     /// Opens and surveys the capture, identifies, and prints the results.
     pub fn run(&self, global: &Global) -> Result<()> {
+        self.capture
+            .ensure_not_read(self.out.iter().map(PathBuf::as_path))?;
         let settings = self.settings()?;
         let methods = MethodWord::chosen(&self.method);
         if self.preset.is_some() || !self.network.is_empty() {

@@ -53,6 +53,7 @@ impl InspectArgs {
     /// # Errors
     /// Any error of the capture's reader or the survey; [`UnfitCapture`] after the report.
     pub fn run(&self, global: &Global) -> Result<()> {
+        self.capture.ensure_not_read(self.plot.as_deref())?;
         if let Some(lone) = lone_channel(self.capture.path(), &self.capture.options()?)? {
             return self.single(&lone, global.json);
         }
