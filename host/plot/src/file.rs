@@ -38,7 +38,7 @@ pub fn write(
     draw: impl FnOnce(&Area<'_>) -> DrawResult,
 ) -> Result<(), FigureError> {
     let figure = bytes(path, size, draw)?;
-    std::fs::write(path, figure).map_err(|why| FigureError::new(path, &why))
+    ihd_signal::atomic::replace(path, &figure).map_err(|why| FigureError::new(path, &why))
 }
 
 /// Draws a figure of this size in pixels on white, and returns the bytes of [such a file](write()) of this name.

@@ -1,6 +1,6 @@
 //! Atomic writing of files: a file has either its old or its new content.
 
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -45,6 +45,83 @@ pub fn synchronise_folder(folder: &Path) -> io::Result<()> {
         File::open(folder)?.sync_all()?;
     }
     Ok(())
+}
+
+/// File that is written under a temporary name beside its own, which it takes when it is complete. Dropped before that, it leaves
+/// nothing, and an older file of the name as it was.
+#[derive(Debug)]
+pub struct Replacement {
+    path: PathBuf,
+    /// Temporary name; `None` once there is none to remove, or if the file is written in place.
+    temporary: Option<PathBuf>,
+}
+
+impl Replacement {
+    /// Opens the temporary file. A link is followed; what is no regular file, as a device or a pipe, is written in place.
+    ///
+    /// # Errors
+    /// Error of the operating system; also for an older file that may not be written, which a renaming would replace.
+    pub fn begin(path: &Path) -> io::Result<(Self, File)> {
+        let older = OpenOptions::new().write(true).open(path);
+        let older = match older {
+            Ok(file) => Some((file.metadata()?, file)),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => None,
+            Err(e) => return Err(e),
+        };
+        let mut permissions = None;
+        let mut path = path.to_owned();
+        if let Some((metadata, file)) = older {
+            if !metadata.is_file() {
+                let temporary = None;
+                return Ok((Self { path, temporary }, file));
+            }
+            path = path.canonicalize()?;
+            permissions = Some(metadata.permissions());
+        }
+        let temporary = beside(&path)?;
+        let file = File::create_new(&temporary)?;
+        let begun = Self {
+            path,
+            temporary: Some(temporary),
+        };
+        if let Some(permissions) = permissions {
+            file.set_permissions(permissions)?;
+        }
+        Ok((begun, file))
+    }
+
+    /// Gives the file, which is completely written, its name.
+    ///
+    /// # Errors
+    /// Error of the operating system; the older file is then unchanged, and the temporary one removed.
+    pub fn complete(mut self) -> io::Result<()> {
+        let Some(temporary) = &self.temporary else {
+            return Ok(());
+        };
+        OpenOptions::new().write(true).open(temporary)?.sync_all()?;
+        rename(temporary, &self.path)?;
+        self.temporary = None;
+        Ok(())
+    }
+}
+
+impl Drop for Replacement {
+    fn drop(&mut self) {
+        if let Some(temporary) = &self.temporary {
+            // Nobody can be told.
+            let _ = fs::remove_file(temporary);
+        }
+    }
+}
+
+/// Writes a file that a user names, as [`Replacement`] does.
+///
+/// # Errors
+/// Any error of [`Replacement::begin`] and [`Replacement::complete`].
+pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let (replacement, mut file) = Replacement::begin(path)?;
+    file.write_all(bytes)?;
+    replacement.complete()
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -98,6 +175,38 @@ mod tests {
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
         assert!(write(Path::new("/"), b"").is_err());
         assert!(write(&folder.join("none/a"), b"").is_err());
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// A user's file keeps its old bytes until the new ones are complete; a link and a device stay what they are.
+    #[test]
+    fn a_replacement_that_is_not_completed_changes_nothing() {
+        let folder = folder("replacement");
+        let path = folder.join("a.csv");
+        fs::write(&path, b"old").unwrap();
+        for path in [&path, &folder.join("new.csv")] {
+            let (replacement, mut file) = Replacement::begin(path).unwrap();
+            file.write_all(b"half").unwrap();
+            drop(replacement);
+        }
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        replace(&path, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 1);
+        assert!(replace(&folder, b"").is_err());
+        #[cfg(unix)]
+        {
+            let link = folder.join("link.csv");
+            std::os::unix::fs::symlink("a.csv", &link).unwrap();
+            replace(&link, b"newer").unwrap();
+            assert_eq!(fs::read(&path).unwrap(), b"newer");
+            let null = folder.join("null.csv");
+            std::os::unix::fs::symlink("/dev/null", &null).unwrap();
+            replace(&null, b"bytes").unwrap();
+            assert!(null.symlink_metadata().unwrap().is_symlink());
+            assert_eq!(fs::read_dir(&folder).unwrap().count(), 3);
+        }
         fs::remove_dir_all(&folder).unwrap();
     }
 

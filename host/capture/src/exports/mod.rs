@@ -10,6 +10,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use ihd_signal::atomic::Replacement;
 use ihd_signal::{Capture, TimeBase};
 
 use super::formats::ReadProgress;
@@ -50,10 +51,11 @@ pub(super) fn write_csv(
     path: &Path,
     progress: ReadProgress<'_>,
 ) -> Result<(), ExportError> {
-    remove_if_failed(
-        path,
-        buffered(path, |out| csv::write(capture, out, progress)),
-    )
+    write_whole(path, |file| {
+        let mut out = BufWriter::with_capacity(1 << 16, file);
+        csv::write(capture, &mut out, progress)?;
+        out.flush()
+    })
 }
 
 pub(super) fn write_npz(
@@ -61,7 +63,7 @@ pub(super) fn write_npz(
     path: &Path,
     progress: ReadProgress<'_>,
 ) -> Result<(), ExportError> {
-    write_new_file(path, |file| npz::write(capture, file, progress))
+    write_whole(path, |file| npz::write(capture, file, progress))
 }
 
 #[cfg(feature = "parquet")]
@@ -70,37 +72,22 @@ pub(super) fn write_parquet(
     path: &Path,
     progress: ReadProgress<'_>,
 ) -> Result<(), ExportError> {
-    write_new_file(path, |file| parquet::write(capture, file, progress))
+    write_whole(path, |file| parquet::write(capture, file, progress))
 }
 
-/// Writes a new file at this path.
-fn write_new_file<E: Into<Box<dyn std::error::Error + Send + Sync>>>(
+/// Writes a file that takes its name when it is complete: an incomplete one would be taken for a complete one.
+fn write_whole<E: Into<Box<dyn std::error::Error + Send + Sync>>>(
     path: &Path,
     write: impl FnOnce(File) -> Result<(), E>,
 ) -> Result<(), ExportError> {
-    let written = File::create(path).and_then(|file| write(file).map_err(io::Error::other));
-    remove_if_failed(path, written)
-}
-
-/// Removes the file if writing failed: an incomplete file would be taken for a complete one.
-fn remove_if_failed(path: &Path, written: io::Result<()>) -> Result<(), ExportError> {
-    written.map_err(|e| {
-        // An error of the removal changes nothing.
-        let _ = std::fs::remove_file(path);
-        ExportError::Write {
-            path: path.to_owned(),
-            what: e.to_string(),
-        }
+    let written = Replacement::begin(path).and_then(|(replacement, file)| {
+        write(file).map_err(io::Error::other)?;
+        replacement.complete()
+    });
+    written.map_err(|e| ExportError::Write {
+        path: path.to_owned(),
+        what: e.to_string(),
     })
-}
-
-fn buffered(
-    path: &Path,
-    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
-) -> io::Result<()> {
-    let mut out = BufWriter::with_capacity(1 << 16, File::create(path)?);
-    write(&mut out)?;
-    out.flush()
 }
 
 /// Number of samples between two progress reports.
@@ -109,4 +96,26 @@ const REPORT_EVERY: usize = 1 << 16;
 /// Time of sample `k` in seconds; there is one stamp per sample.
 fn time_s(time: &TimeBase, k: usize) -> f64 {
     time.at(k).unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk that is full after some bytes costs neither the older file nor leaves a part of the new one.
+    #[test]
+    fn a_failed_export_leaves_the_older_file_and_no_part_of_the_new_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let (older, new) = (folder.path().join("a.npz"), folder.path().join("b.npz"));
+        std::fs::write(&older, b"old").unwrap();
+        for path in [&older, &new] {
+            let failed = write_whole(path, |mut file| {
+                file.write_all(b"half")?;
+                Err(io::Error::from(io::ErrorKind::StorageFull))
+            });
+            assert!(failed.unwrap_err().to_string().contains("npz"));
+        }
+        assert_eq!(std::fs::read(&older).unwrap(), b"old");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
 }

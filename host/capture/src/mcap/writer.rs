@@ -2,7 +2,7 @@
 //! last [`Writer::flush`] is readable.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ::mcap::records::{MessageHeader, Metadata};
 use ::mcap::write::NoSeek;
 use ::mcap::{Compression, WriteOptions};
+use ihd_signal::atomic::Replacement;
 use serde::Serialize;
 
 use super::McapFileError;
@@ -26,7 +27,7 @@ pub const PAIRS_PER_MESSAGE: usize = 8192;
 /// Treatment of an existing file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Existing {
-    /// Replace it.
+    /// Replace it when the new one is complete.
     Replace,
     /// Keep it and fail.
     Keep,
@@ -61,6 +62,8 @@ impl Write for CountingWriter {
 pub struct Writer {
     mcap: ::mcap::Writer<NoSeek<CountingWriter>>,
     path: PathBuf,
+    /// Old file that the new one takes the place of at its end.
+    replacement: Option<Replacement>,
     channels: BTreeMap<Topic, (u16, u32)>,
     file: Buffered,
     bytes: Arc<AtomicU64>,
@@ -74,13 +77,11 @@ impl Writer {
     /// # Errors
     /// [`McapFileError::Exists`] if an existing file is to be kept, else the error of the operating system.
     pub fn create(path: &Path, existing: Existing, single: bool) -> Result<Self, McapFileError> {
-        let mut options = OpenOptions::new();
-        options.write(true);
-        match existing {
-            Existing::Replace => options.create(true).truncate(true),
-            Existing::Keep => options.create_new(true),
+        let opened = match existing {
+            Existing::Replace => Replacement::begin(path).map(|(r, file)| (Some(r), file)),
+            Existing::Keep => File::create_new(path).map(|file| (None, file)),
         };
-        let file = options.open(path).map_err(|source| match source.kind() {
+        let (replacement, file) = opened.map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => McapFileError::Exists { path: path.into() },
             _ => McapFileError::Io {
                 path: path.into(),
@@ -111,6 +112,7 @@ impl Writer {
         Ok(Self {
             mcap,
             path: path.into(),
+            replacement,
             channels: BTreeMap::new(),
             file,
             bytes,
@@ -252,13 +254,16 @@ impl Writer {
         }
         let result = self.mcap.finish();
         self.written(result)?;
-        locked(&self.file)
-            .flush()
-            .map_err(|source| McapFileError::Io {
-                path: self.path.clone(),
-                offset: self.bytes.load(Ordering::Relaxed),
-                source,
-            })
+        let flushed = locked(&self.file).flush();
+        let replaced = flushed.and_then(|()| match self.replacement.take() {
+            Some(replacement) => replacement.complete(),
+            None => Ok(()),
+        });
+        replaced.map_err(|source| McapFileError::Io {
+            path: self.path.clone(),
+            offset: self.bytes.load(Ordering::Relaxed),
+            source,
+        })
     }
 }
 

@@ -164,9 +164,11 @@ impl Calibration {
         } else {
             toml::to_string(self).map_err(|e| content(e.to_string()))?
         };
-        std::fs::write(path, text).map_err(|source| CalibrationFileError::Io {
-            path: path.to_owned(),
-            source,
+        ihd_signal::atomic::replace(path, text.as_bytes()).map_err(|source| {
+            CalibrationFileError::Io {
+                path: path.to_owned(),
+                source,
+            }
         })
     }
 

@@ -9,6 +9,7 @@ use ihd_gate::{Examination, Gate, HalfCycleVerdict, MethodResult};
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, Method};
+use ihd_signal::atomic::Replacement;
 use ihd_signal::{Capture, Remark, Segment, Severity};
 use serde::Serialize;
 
@@ -244,17 +245,19 @@ fn found_slice(outcome: &MethodResult, values: fn(&Estimate) -> &Vec<f64>) -> &[
 /// Table of estimates in a file: method, f_sw, time, R, L, their standard deviations and P/I_rms².
 pub struct CsvTable {
     path: PathBuf,
+    replacement: Replacement,
     writer: csv::Writer<File>,
 }
 
 impl CsvTable {
-    /// Creates the file with its heading.
+    /// Begins the file with its heading; it takes its name when it is [complete](CsvTable::complete).
     ///
     /// # Errors
     /// If it cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
         let cannot = || format!("cannot write {}", path.display());
-        let mut writer = csv::Writer::from_path(path).with_context(cannot)?;
+        let (replacement, file) = Replacement::begin(path).with_context(cannot)?;
+        let mut writer = csv::Writer::from_writer(file);
         let heading = [
             "method",
             "f_sw_hz",
@@ -267,10 +270,24 @@ impl CsvTable {
         ];
         writer.write_record(heading).with_context(cannot)?;
         let path = path.to_owned();
-        Ok(Self { path, writer })
+        Ok(Self {
+            path,
+            replacement,
+            writer,
+        })
     }
 
-    /// Appends each estimate's points, and hands them to the operating system.
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn complete(mut self) -> Result<()> {
+        let flushed = self.writer.flush();
+        let done = flushed.and_then(|()| self.replacement.complete());
+        done.with_context(|| format!("cannot write {}", self.path.display()))
+    }
+
+    /// Appends each estimate's points.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -293,7 +310,7 @@ impl CsvTable {
                     .with_context(cannot)?;
             }
         }
-        self.writer.flush().with_context(cannot)
+        Ok(())
     }
 }
 
@@ -371,4 +388,25 @@ pub fn pooled(law: &PooledLaw) -> String {
         ]);
     }
     table.render()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An error between two parts of a capture ends the table.
+    #[test]
+    fn a_table_that_is_not_completed_leaves_the_older_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let (older, new) = (folder.path().join("a.csv"), folder.path().join("b.csv"));
+        std::fs::write(&older, "old").unwrap();
+        drop(CsvTable::create(&older).unwrap());
+        drop(CsvTable::create(&new).unwrap());
+        assert_eq!(std::fs::read_to_string(&older).unwrap(), "old");
+        assert!(!new.exists());
+        CsvTable::create(&new).unwrap().complete().unwrap();
+        let heading = std::fs::read_to_string(&new).unwrap();
+        assert!(heading.starts_with("method,f_sw_hz,"), "{heading}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
 }

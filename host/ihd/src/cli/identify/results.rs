@@ -8,7 +8,7 @@ use ihd_gate::Examination;
 use ihd_identify::Estimate;
 use ihd_identify::pooled::{PoolPhasors, pool_phasors};
 use ihd_signal::truth::PeriodTruth;
-use ihd_signal::{Capture, Segment, Severity};
+use ihd_signal::{Capture, Segment, Severity, atomic};
 
 use super::super::capture_args::CaptureArgs;
 use super::super::output::{self, JsonArray};
@@ -169,13 +169,16 @@ impl<'a> ResultWriter<'a> {
                 output::text(&self.calibration)?;
             }
         }
+        for table in std::mem::take(&mut self.tables) {
+            table.complete()?;
+        }
         if let (Some(page), Some(figure)) = (&mut self.page, &self.figure) {
             if let Some(missing) = missing {
                 page.doubt_file(&missing);
             }
             let html = page.html(&self.calibration, &figure.zoomable());
             for path in self.options.pages {
-                std::fs::write(path, &html)
+                atomic::replace(path, html.as_bytes())
                     .with_context(|| format!("cannot write {}", path.display()))?;
             }
         }
