@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use ihd_gate::sensors::{LEAST_RATE_HZ, is_of_sampling};
 use ihd_signal::Capture;
@@ -114,6 +114,13 @@ impl CalibrateArgs {
                 Calibration::from_self_calibration(&calibration, &survey)
             }
         };
+        let why = || {
+            let capture = self.capture.path().display();
+            format!(
+                "{capture}: no calibration; look at --reference (25u is 25 µH) and the probes' factors (--input probe)"
+            )
+        };
+        calibration.check().with_context(why)?;
         for doubt in calibration.doubts() {
             output::complain(format_args!("warning: {doubt}"));
         }

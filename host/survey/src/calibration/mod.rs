@@ -80,11 +80,31 @@ pub enum CalibrationFileError {
     },
 }
 
+/// Number of a calibration that no measuring chain has.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{name} is {value}, but must lie between {least} and {most}")]
+pub struct OutOfRange {
+    /// Name of the number.
+    pub name: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// Least value.
+    pub least: f64,
+    /// Largest value.
+    pub most: f64,
+}
+
 /// Uncertainty of a skew in seconds that costs next to nothing (docs/accuracy.md).
 const WELL_KNOWN_S: f64 = 1e-9;
 
 /// Largest plausible skew in seconds; the simulator's limit.
 const LARGEST_SKEW_S: f64 = 10e-6;
+
+/// Skew in seconds that no usual pair of probes has: more is doubted.
+const DOUBTED_SKEW_S: f64 = 1e-6;
+
+/// Factor between the gains from which they are doubted.
+const DOUBTED_GAIN: f64 = 2.0;
 
 impl Calibration {
     /// Creates a calibration from a self-calibration, with any load.
@@ -146,19 +166,20 @@ impl Calibration {
         } else {
             toml::from_str(&text).map_err(|e| content(e.message().to_owned()))?
         };
-        read.check().map_err(content)?;
+        read.check().map_err(|e| content(e.to_string()))?;
         Ok(read)
     }
 
     /// Writes a file: JSON if it is named so, else TOML.
     ///
     /// # Errors
-    /// [`CalibrationFileError::Io`] if the file cannot be written.
+    /// [`CalibrationFileError::Io`] if the file cannot be written, [`CalibrationFileError::Content`] for what could not be read back.
     pub fn write(&self, path: &Path) -> Result<(), CalibrationFileError> {
         let content = |what: String| CalibrationFileError::Content {
             path: path.to_owned(),
             what,
         };
+        self.check().map_err(|e| content(e.to_string()))?;
         let text = if is_json(path) {
             serde_json::to_string_pretty(self).map_err(|e| content(e.to_string()))?
         } else {
@@ -172,7 +193,11 @@ impl Calibration {
         })
     }
 
-    fn check(&self) -> Result<(), String> {
+    /// Checks that the numbers are ones of a measuring chain.
+    ///
+    /// # Errors
+    /// The first that is not.
+    pub fn check(&self) -> Result<(), OutOfRange> {
         for (name, value, least, most) in [
             ("skew_s", self.skew_s, -LARGEST_SKEW_S, LARGEST_SKEW_S),
             ("skew_sigma_s", self.skew_sigma_s, 0.0, LARGEST_SKEW_S),
@@ -196,18 +221,33 @@ impl Calibration {
             ("response.i_droop_hz", self.response.i_droop_hz, 0.0, 1e5),
         ] {
             if !(least..=most).contains(&value) {
-                return Err(format!(
-                    "{name} is {value}, but must lie between {least} and {most}"
-                ));
+                return Err(OutOfRange {
+                    name,
+                    value,
+                    least,
+                    most,
+                });
             }
         }
         Ok(())
     }
 
-    /// Reasons to distrust the calibration, as texts: contradictions in its capture, and a skew whose uncertainty exceeds its
-    /// value.
+    /// Reasons to distrust the calibration, as texts: contradictions in its capture, numbers that usual sensors do not have, and a
+    /// skew whose uncertainty exceeds its value.
     pub fn doubts(&self) -> Vec<String> {
         let mut doubts = self.contradictions.clone();
+        if self.skew_s.abs() > DOUBTED_SKEW_S {
+            doubts.push(format!(
+                "a skew of {:.0} ns is more than probes have: look at the reference, and whether both channels are of one acquisition",
+                self.skew_s * 1e9
+            ));
+        }
+        if !(1.0 / DOUBTED_GAIN..=DOUBTED_GAIN).contains(&self.gain_ratio) {
+            doubts.push(format!(
+                "a ratio of the gains of {:.4} is far from 1: look at the reference and at the probes' factors (--input probe)",
+                self.gain_ratio
+            ));
+        }
         // A skew that is known to a nanosecond is precise enough, however small it is.
         if self.skew_sigma_s > self.skew_s.abs() && self.skew_sigma_s > WELL_KNOWN_S {
             doubts.push(format!(

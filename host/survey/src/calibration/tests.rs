@@ -227,7 +227,15 @@ fn files_come_back_and_others_are_refused() {
                 skew_s: wrong,
                 ..c.clone()
             };
-            let _ = c.write(&path);
+            let older = std::fs::read(&path).unwrap();
+            let refused = c.write(&path).unwrap_err().to_string();
+            assert!(refused.contains("skew_s is"), "{refused}");
+            assert_eq!(std::fs::read(&path).unwrap(), older);
+            let text = match name {
+                "a.json" => serde_json::to_string(&c).unwrap(),
+                _ => toml::to_string(&c).unwrap(),
+            };
+            std::fs::write(&path, text).unwrap();
             assert!(Calibration::read(&path).is_err());
         }
     }
@@ -293,6 +301,20 @@ fn what_cannot_be_told_from_none_and_what_another_file_denies_is_doubted() {
         contradictions: Vec::new(),
     };
     assert_eq!(known.doubts(), Vec::<String>::new());
+    // A reference of 20 mH for 20 µH, a probe's factor of 10 that nobody told.
+    for (skew_s, gain_ratio, word) in [
+        (1.166e-6, 1.0, "1166 ns"),
+        (-1.166e-6, 1.0, "1166 ns"),
+        (37e-9, 10.0, "10.0000"),
+        (37e-9, 0.1, "0.1000"),
+    ] {
+        let odd = Calibration {
+            skew_s,
+            gain_ratio,
+            ..known.clone()
+        };
+        assert!(odd.doubts()[0].contains(word), "{:?}", odd.doubts());
+    }
     let vague = Calibration {
         skew_s: 3e-9,
         skew_sigma_s: 20e-9,
