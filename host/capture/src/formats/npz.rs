@@ -3,12 +3,14 @@
 //! After NumPy's *NPY format* (numpy.lib.format), versions 1 to 3. ZIP by the crate `zip`; the NPY
 //! header is read here, as `npyz` brings a parser generator and an old `zip`.
 
+use std::collections::BTreeMap;
 use std::io::Read;
 
 use zip::ZipArchive;
 
 use super::arrays::{Array, ArraySource, Arrays, plausible};
 use super::input::{Endian, ReadSeek, SampleType, decode_from};
+use super::{CaptureFile, FileChannel, FileFacts, FileSamples, ReadProgress};
 use crate::error::FormatError;
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
@@ -22,6 +24,42 @@ const MOST_ARRAYS: usize = 10_000;
 /// Ending of an array's name in the archive.
 const ENDING: &str = ".npy";
 
+/// Member with the notes that ihd writes beside its arrays.
+const NOTES: &str = "metadata.json";
+
+/// Limit of the notes in bytes; longer ones are of another program.
+const LONGEST_NOTES: u64 = 1 << 20;
+
+/// Archive and its notes.
+pub struct NpzSource {
+    arrays: ArraySource<NpzArrays>,
+    notes: BTreeMap<String, String>,
+}
+
+impl CaptureFile for NpzSource {
+    fn channels(&self) -> &[FileChannel] {
+        self.arrays.channels()
+    }
+
+    fn metadata(&self) -> BTreeMap<String, String> {
+        let mut all = self.notes.clone();
+        all.extend(self.arrays.metadata());
+        all
+    }
+
+    fn facts(&mut self) -> Result<FileFacts, FormatError> {
+        self.arrays.facts()
+    }
+
+    fn read(
+        &mut self,
+        selected: &[usize],
+        progress: ReadProgress<'_>,
+    ) -> Result<FileSamples, FormatError> {
+        self.arrays.read(selected, progress)
+    }
+}
+
 /// The arrays of an archive.
 pub struct NpzArrays {
     archive: ZipArchive<Box<dyn ReadSeek>>,
@@ -33,7 +71,7 @@ pub struct NpzArrays {
 ///
 /// # Errors
 /// [`FormatError`] for a damaged file and one without vectors.
-pub fn open(source: impl ReadSeek + 'static) -> Result<ArraySource<NpzArrays>, FormatError> {
+pub fn open(source: impl ReadSeek + 'static) -> Result<NpzSource, FormatError> {
     let source: Box<dyn ReadSeek> = Box::new(source);
     let mut archive = ZipArchive::new(source)
         .map_err(|e| in_archive(0, "no ZIP archive, or its end is cut off", &e))?;
@@ -43,6 +81,7 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<ArraySource<NpzArrays>, F
     }
     let mut arrays = Vec::new();
     let mut members = Vec::new();
+    let mut notes = BTreeMap::new();
     for index in 0..archive.len() {
         let mut member = archive
             .by_index(index)
@@ -50,6 +89,11 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<ArraySource<NpzArrays>, F
         let name = member
             .name()
             .map_err(|e| in_archive(0, "a member's name", &e))?;
+        if name == NOTES {
+            let text = member.by_ref().take(LONGEST_NOTES);
+            notes = serde_json::from_reader(text).unwrap_or_default();
+            continue;
+        }
         let Some(name) = name.strip_suffix(ENDING).map(str::to_owned) else {
             continue;
         };
@@ -97,7 +141,8 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<ArraySource<NpzArrays>, F
         });
         members.push(index);
     }
-    ArraySource::new(NpzArrays { archive, members }, arrays, "NumPy NPZ")
+    let arrays = ArraySource::new(NpzArrays { archive, members }, arrays, "NumPy NPZ")?;
+    Ok(NpzSource { arrays, notes })
 }
 
 fn in_archive(offset: u64, what: &str, e: &zip::result::ZipError) -> FormatError {

@@ -9,9 +9,10 @@ use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError, OpenOptions, PartReader};
 use ihd_signal::Capture;
 use ihd_survey::SurveyError;
-use ihd_survey::calibration::Calibration;
+use ihd_survey::calibration::{Calibration, METADATA_KEY};
 
 use super::input_options::InputOptions;
+use super::usage::Usage;
 use super::{keys, output};
 
 /// Capture, and how it is read. Formats and detection: docs/captures.md.
@@ -106,7 +107,7 @@ impl CaptureArgs {
             .into());
         }
         if let Some(calibration) = self.calibration()? {
-            calibration.apply(&mut capture);
+            apply(&calibration, &mut capture)?;
         }
         Ok(LoadedCapture { capture, losses })
     }
@@ -154,6 +155,19 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
         let name = |path: &Path| path.canonicalize().ok();
         name(a).is_some_and(|of_a| name(b) == Some(of_a))
     }
+}
+
+/// Applies a calibration of the user to a capture that has none.
+fn apply(calibration: &Calibration, capture: &mut Capture) -> Result<()> {
+    if let Some(own) = capture.metadata.get(METADATA_KEY) {
+        let name = &capture.name;
+        return Err(Usage(format!(
+            "{name} is calibrated already ({own}): leave --calibration out, or give the capture as it was recorded"
+        ))
+        .into());
+    }
+    calibration.apply(capture);
+    Ok(())
 }
 
 /// Capture, and the losses of its file.
@@ -245,7 +259,7 @@ impl CaptureParts {
         let start = self.span_s.map(|span| span.0).or(first);
         self.span_s = start.zip(last).or(self.span_s);
         if let Some(calibration) = &self.calibration {
-            calibration.apply(&mut part);
+            apply(calibration, &mut part)?;
         }
         Ok(Some(part))
     }

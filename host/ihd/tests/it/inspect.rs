@@ -120,7 +120,27 @@ fn a_calibration_is_written_and_applied() {
     assert!((as_it_is / right - 1.0).abs() > 0.02);
     let mended = r("inspect hot.mcap --calibration c.toml --json");
     assert!((mended / right - 1.0).abs() < 2e-3, "{mended} {right}");
+    for out in ["mended.mcap", "mended.npz"] {
+        let args = format!("convert hot.mcap --calibration c.toml --out {out}");
+        assert!(ihd(dir, &args).status.success());
+    }
     for (args, word) in [
+        (
+            "inspect mended.mcap --calibration c.toml",
+            "calibrated already (skew",
+        ),
+        (
+            "inspect mended.npz --calibration c.toml",
+            "calibrated already (skew",
+        ),
+        (
+            "identify mended.mcap --calibration c.toml",
+            "leave --calibration out",
+        ),
+        (
+            "calibrate hot.mcap --reference r=3,l=19 -o d.toml",
+            "25u is 25 µH",
+        ),
         ("calibrate hot.mcap --reference no-pot", "no empty coil"),
         ("calibrate hot.mcap --reference wood", "no-pot"),
         ("inspect hot.mcap --calibration hot.mcap", "hot.mcap"),
@@ -133,6 +153,7 @@ fn a_calibration_is_written_and_applied() {
         );
         assert!(!stderr.contains("panicked"), "{stderr}");
     }
+    assert!(!dir.join("d.toml").exists());
 }
 
 /// A scope writes NaN or its overflow mark where it has no sample: the capture is cut there, in every format.

@@ -56,6 +56,9 @@ pub struct Calibration {
     pub contradictions: Vec<String>,
 }
 
+/// Key of a capture's metadata that describes the calibration it has.
+pub const METADATA_KEY: &str = "calibration";
+
 /// Standard deviations from which a difference of two numbers is a contradiction.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
 
@@ -323,7 +326,7 @@ impl Calibration {
             self.skew_s * 1e9,
             self.reference
         );
-        capture.metadata.insert("calibration".to_owned(), note);
+        capture.metadata.insert(METADATA_KEY.to_owned(), note);
     }
 }
 

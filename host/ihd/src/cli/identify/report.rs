@@ -11,6 +11,7 @@ use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::atomic::Replacement;
 use ihd_signal::{Capture, Remark, Segment, Severity};
+use ihd_survey::calibration::METADATA_KEY;
 use serde::Serialize;
 
 use super::crest::{crest, squared_current};
@@ -180,7 +181,7 @@ impl<'a> ReportedCapture<'a> {
 
     /// Line on the sensors' calibration; empty if it was reported already.
     pub fn calibration_text(&self) -> String {
-        let calibration = self.capture.metadata.get("calibration");
+        let calibration = self.capture.metadata.get(METADATA_KEY);
         match (calibration, self.examined.survey.skew_note()) {
             (Some(calibration), _) => format!("calibrated: {calibration}\n"),
             // The correction was reported instead.
