@@ -6,7 +6,8 @@ use ihd_signal::{Samples, Segment};
 /// Largest distance from the crest, in half-cycles.
 const AT_CREST: f64 = 0.02;
 
-/// Mean square of the current over a switching period around each time, in A²: the weights of means over a half-cycle.
+/// Mean square of the current over a switching period around each time, in A²: the weights of means over a half-cycle. The
+/// current's mean, a sensor's offset, is taken off: the resonance capacitor blocks direct current.
 pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
     let reach = (0.5 * segment.samples_per_period()).ceil() as usize;
     let last = segment.len();
@@ -18,14 +19,16 @@ pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
     let mut ends: Vec<usize> = ranges.iter().flat_map(|r| [r.0, r.1]).collect();
     ends.sort_unstable();
     ends.dedup();
-    let sums = square_sums(segment, &ends);
+    let all: f64 = sums(segment, &[segment.len()], |i| i).iter().sum();
+    let mean_a = all / segment.len().max(1) as f64;
+    let sums = sums(segment, &ends, |i| (i - mean_a) * (i - mean_a));
     let sum_to = |end: usize| ends.binary_search(&end).map_or(0.0, |k| sums[k]);
     let mean = |(from, to): (usize, usize)| (sum_to(to) - sum_to(from)) / (to - from).max(1) as f64;
     ranges.into_iter().map(mean).collect()
 }
 
-/// Sums of the squared current up to each of these indices, which ascend.
-fn square_sums(segment: &Segment, ends: &[usize]) -> Vec<f64> {
+/// Sums of `of` the current in ampere up to each of these indices, which ascend.
+fn sums(segment: &Segment, ends: &[usize], of: impl Fn(f64) -> f64) -> Vec<f64> {
     let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), 0.0, Vec::new());
     for first in (0..=segment.len()).step_by(Samples::CHUNK) {
         let block = first..(first + Samples::CHUNK).min(segment.len());
@@ -35,7 +38,7 @@ fn square_sums(segment: &Segment, ends: &[usize]) -> Vec<f64> {
                 out.push(sum);
             }
             let Some(i) = samples.get(k) else { break };
-            sum += i * i;
+            sum += of(*i);
         }
     }
     out
@@ -65,4 +68,39 @@ pub fn crest_of(segment: &Segment, estimate: &Estimate, from_s: f64) -> Option<u
     let near = all.filter(|(_, t)| off(**t) < AT_CREST * half_s);
     near.min_by(|a, b| off(*a.1).total_cmp(&off(*b.1)))
         .map(|(k, _)| k)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A current clamp's offset of 20 A weighs the weak current beside the crossings no more than its true square does.
+    #[test]
+    fn a_sensors_offset_changes_no_weight() {
+        let (dt_s, f_sw_hz) = (1e-6, 50e3);
+        let with = |offset_a: f64| {
+            let current = |k: usize| {
+                let t_s = k as f64 * dt_s;
+                let envelope = (std::f64::consts::PI * t_s / 10e-3).sin();
+                let carrier = (std::f64::consts::TAU * f_sw_hz * t_s).sin();
+                (30.0 * envelope * carrier + offset_a) as f32
+            };
+            let i_a: Vec<f32> = (0..10_000).map(current).collect();
+            let segment = Segment {
+                t0_s: 0.0,
+                dt_s,
+                v_v: Samples::singles(i_a.clone()),
+                i_a: Samples::singles(i_a),
+                f_sw_hz,
+                mains_hz: 50.0,
+                zero_crossing_s: 0.0,
+            };
+            squared_current(&segment, &[0.1e-3, 2e-3, 5e-3])
+        };
+        let (right, offset) = (with(0.0), with(20.0));
+        for (right, offset) in right.iter().zip(&offset) {
+            assert!((offset - right).abs() < 1e-3 * 450.0, "{right} {offset}");
+        }
+        assert!((right[2] / 450.0 - 1.0).abs() < 0.01, "{right:?}");
+    }
 }
