@@ -1,5 +1,6 @@
 //! `ihd record` and `ihd replay` as a user calls them.
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -220,6 +221,31 @@ fn a_simulated_hob_is_recorded_from_a_trigger_on() {
     let (seen, cut) = events(&path);
     // 15 half-cycles of telemetry, and what the device still sends when it is left.
     assert!(!cut && (15..40).contains(&seen), "{seen}");
+}
+
+/// A script that waits for a fault must not take a recording for made.
+#[test]
+#[cfg(unix)]
+fn a_trigger_that_did_not_come_is_1_and_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "record --device sim --trigger fault --duration 1 --out t.mcap";
+    let mut recorder = ihd(args, dir.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("ihd record runs");
+    let mut said = String::new();
+    let stdout = recorder.stdout.take().expect("a pipe");
+    BufReader::new(stdout).read_line(&mut said).unwrap();
+    assert!(said.contains("waits for"), "{said}");
+    let pid = recorder.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &pid]).status();
+    assert!(sent.expect("kill runs").success());
+    let output = recorder.wait_with_output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("nothing was recorded"), "{stderr}");
+    assert!(!dir.path().join("t.mcap").exists());
 }
 
 #[test]

@@ -7,12 +7,13 @@ use std::sync::atomic::Ordering;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use ihd_api::ApiClient;
 use ihd_capture::recording::RecordSettings;
 use ihd_model::Command;
 use serde_json::json;
 
+use super::NothingRecorded;
 use crate::cli::device::one_line;
 use crate::cli::{interrupt, output};
 
@@ -121,14 +122,13 @@ fn download(client: &ApiClient, recorded: &[String], out: &Path) -> Result<Vec<P
 
 fn print(files: &[PathBuf], json: bool) -> Result<()> {
     if json {
-        return output::json(&json!({"file": files.first(), "files": files}));
+        output::json(&json!({"file": files.first(), "files": files}))?;
+    } else {
+        for file in files {
+            say!("recorded {}", one_line(&file.display().to_string()))?;
+        }
     }
-    if files.is_empty() {
-        return say!("its trigger did not come: nothing was recorded");
-    }
-    for file in files {
-        say!("recorded {}", one_line(&file.display().to_string()))?;
-    }
+    ensure!(!files.is_empty(), NothingRecorded);
     Ok(())
 }
 

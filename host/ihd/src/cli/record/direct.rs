@@ -16,6 +16,7 @@ use ihd_shared::wire::messages::{Status, Utilisation};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
+use super::NothingRecorded;
 use crate::cli::{interrupt, output};
 use crate::report::utilisation;
 
@@ -117,7 +118,11 @@ impl DirectRecording {
         }
         // The report is printed in any case.
         let printed = self.print(&report);
-        done.and(printed)
+        done.and(printed)?;
+        match report.file {
+            Some(_) => Ok(()),
+            None => Err(NothingRecorded.into()),
+        }
     }
 
     fn session(&self, publish: mpsc::Sender<RecordingStatus>) -> RecordingSession {
@@ -175,7 +180,8 @@ impl DirectRecording {
         let mut heard = client.clock();
         report.ended_by = loop {
             let progress = session.progress(client.clock());
-            report.seconds = progress.map_or(0.0, |now| now.elapsed_s);
+            // A recording that a full disk ended has no progress any more.
+            report.seconds = progress.map_or(report.seconds, |now| now.elapsed_s);
             if stop.load(Ordering::Relaxed) {
                 break "interrupt";
             }
@@ -244,7 +250,7 @@ impl DirectRecording {
         }
         let dropped = |n: Option<u32>| n.map_or("?".to_owned(), |n| n.to_string());
         let Some(file) = &r.file else {
-            return say!("its trigger did not come: nothing was recorded");
+            return Ok(());
         };
         let (l, path) = (&r.link, file.display());
         say!(

@@ -37,7 +37,7 @@ const WINDOWS_EVERY: u8 = 20;
     ihd record --device bench --trigger 'level:power>1000' --pre-trigger 5 --duration 30\n  \
     ihd record --device sim --power 1500 --duration 5s --out hob.mcap\n  \
     ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
-    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed, 2 wrong usage, 3 device or link")]
+    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed or the trigger did not come, 2 wrong usage, 3 device or link")]
 pub struct RecordArgs {
     /// The device: a name of the configuration, sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
     #[arg(long, value_name = "DEVICE", default_value = "sim")]
@@ -45,7 +45,7 @@ pub struct RecordArgs {
     /// The capture file; an existing one is never overwritten
     #[arg(long, short, value_name = "FILE", value_parser = recording_file::parse)]
     out: Option<PathBuf>,
-    /// End after this long, in s
+    /// End this long after the beginning, in s: after the trigger, which is waited for without a limit
     #[arg(long, value_name = "S", value_parser = quantity)]
     duration: Option<f64>,
     /// End when the file has this size in bytes (10M)
@@ -71,6 +71,11 @@ pub struct RecordArgs {
     #[command(flatten)]
     simulated: SimulatedHobArgs,
 }
+
+/// Error of a recording that was ended before its trigger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the trigger did not come: nothing was recorded")]
+struct NothingRecorded;
 
 impl RecordArgs {
     /// Connects, records and prints the report.
