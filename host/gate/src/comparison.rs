@@ -37,11 +37,12 @@ impl HalfCycleSpan {
     }
 }
 
-/// Half-cycles of a segment, stubs at its ends included.
+/// Half-cycles of a segment, stubs at its ends included that hold a switching period.
 pub fn half_cycles(segment: &Segment) -> Vec<HalfCycleSpan> {
     let ranges = segment.half_cycles().into_iter();
+    let period = segment.samples_per_period();
     let crossings = ranges
-        .filter(|(from, to)| to > from)
+        .filter(|(from, to)| to.saturating_sub(*from) as f64 >= period)
         .map(|range| segment.crossing_of_s(range));
     let of = |crossing_s: f64| HalfCycleSpan {
         crossing_s,
@@ -196,5 +197,29 @@ impl Samples {
             out.sigma[1].push(sigma(&estimate.l_sigma_h));
         }
         Some(out)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A capture that begins at a crossing begins some samples before it as it is measured: that is no half-cycle.
+    #[test]
+    fn a_stub_shorter_than_a_switching_period_is_no_half_cycle() {
+        let crossings = |zero_crossing_s: f64| {
+            let samples = || ihd_signal::Samples::singles(vec![1.0; 20_000]);
+            let segment = Segment {
+                f_sw_hz: 50e3,
+                mains_hz: 50.0,
+                zero_crossing_s,
+                t0_s: 0.0,
+                dt_s: 1e-6,
+                v_v: samples(),
+                i_a: samples(),
+            };
+            half_cycles(&segment).len()
+        };
+        assert_eq!([0.0, 15e-6, 25e-6].map(crossings), [2, 2, 3]);
     }
 }

@@ -130,6 +130,27 @@ fn what_is_read_is_not_overwritten() {
     }
 }
 
+/// A name of a file need not be UTF-8.
+#[test]
+#[cfg(target_os = "linux")]
+fn results_go_to_a_file_of_any_name() {
+    use std::os::unix::ffi::OsStrExt;
+    let (_keep, dir) = folder();
+    let name = std::ffi::OsStr::from_bytes(b"b\xff.csv");
+    let mut command = Command::cargo_bin("ihd").expect("the ihd binary is built with its tests");
+    command
+        .current_dir(&dir)
+        .args(["identify", "a.mcap", "--out"]);
+    let output = command.arg(name).output().expect("ihd runs");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+    let table = std::fs::read_to_string(dir.join(name)).unwrap();
+    assert!(
+        table.starts_with("method,") && table.ends_with('\n'),
+        "{table}"
+    );
+}
+
 #[test]
 fn what_fails_is_1_and_names_the_file() {
     let dir = tempfile::tempdir().unwrap();

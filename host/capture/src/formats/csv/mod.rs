@@ -54,7 +54,8 @@ impl CsvSource {
         let mut head = Vec::new();
         let mut beginning = (&mut file).take(LONGEST_LINE as u64);
         beginning.read_to_end(&mut head).map_err(failed)?;
-        if head.len() == LONGEST_LINE && !head.contains(&b'\n') {
+        let has_lines = head.iter().any(|b| matches!(b, b'\n' | b'\r'));
+        if head.len() == LONGEST_LINE && !has_lines {
             return Err(FormatError::at_line(1, too_long()));
         }
         let prelude = Prelude::read(&head)?;
@@ -171,5 +172,44 @@ impl CsvSource {
             }
         }
         Ok(columns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    fn read(text: impl Into<Vec<u8>>) -> Result<FileSamples, FormatError> {
+        let mut source = CsvSource::open(Cursor::new(text.into()), None)?;
+        source.read(&[0, 1], &mut |_| ())
+    }
+
+    /// Spreadsheets of old Macs and of Western Windows: lines end with CR, µ is one byte.
+    #[test]
+    fn old_line_ends_and_a_latin_micro_sign_are_understood() {
+        let lines = "t (µs),v (V),i (A)\n0,1,2\n1,3,4\n2,5,6\n";
+        let expected = read(lines).unwrap();
+        assert!(
+            matches!(expected.time, Some(TimeBase::Even { dt_s, .. }) if (dt_s / 1e-6 - 1.0).abs() < 1e-9)
+        );
+        let latin: Vec<u8> = lines.chars().map(|c| c as u8).collect();
+        let old_mac = lines.replace('\n', "\r");
+        // Long enough that no line end lies in the beginning but CR.
+        let long = format!("{}{}", old_mac, "3,7,8\r".repeat(LONGEST_LINE / 6));
+        for text in [latin, old_mac.into_bytes()] {
+            assert_eq!(read(text), Ok(expected.clone()));
+        }
+        let why = read(long).unwrap_err().to_string();
+        assert!(why.contains("ascend"), "read as far as its times: {why}");
+    }
+
+    #[test]
+    fn blanks_between_columns_are_named() {
+        for rows in [3, 2000] {
+            let why = read(format!("t v i\n{}", "0.1  1.0 2.0\n".repeat(rows))).unwrap_err();
+            assert!(why.what.contains("separated by blanks"), "{why}");
+        }
     }
 }

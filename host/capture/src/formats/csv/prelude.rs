@@ -47,7 +47,7 @@ impl Prelude {
         };
         loop {
             let Some(row) = rows.next_row()? else {
-                let what = "no row of numbers: this is no table of samples";
+                let what = prelude.why("no row of numbers: this is no table of samples");
                 return Err(FormatError::at_line(rows.position().line(), what));
             };
             let record = row.record();
@@ -66,10 +66,24 @@ impl Prelude {
             }
             if prelude.rows.len() == LINES {
                 let what = format!("no row of numbers in the first {LINES} lines");
+                let what = prelude.why(&what);
                 return Err(FormatError::at_line(rows.position().line(), what));
             }
             prelude.rows.push(record.iter().map(text).collect());
         }
+    }
+
+    /// Reason why a file without a row of numbers is no table: `otherwise`, unless its last line is a row with blanks.
+    fn why(&self, otherwise: &str) -> String {
+        let mut words = match self.rows.last().map(Vec::as_slice) {
+            Some([only]) => only.split_whitespace(),
+            _ => "".split_whitespace(),
+        };
+        let number = |word: &str| self.syntax.number(word.as_bytes()).is_some();
+        if words.clone().count() > 1 && words.all(number) {
+            return "its columns are separated by blanks: separate them by commas, semicolons or tabs".to_owned();
+        }
+        otherwise.to_owned()
     }
 
     /// Values after a key; the key is compared in lower case without a closing colon.

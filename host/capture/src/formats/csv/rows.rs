@@ -28,15 +28,17 @@ pub struct Syntax {
 impl Syntax {
     /// Detects both from the last complete line of the file's beginning; tab before semicolon before comma.
     pub fn detect(head: &[u8]) -> Self {
-        let complete = head.strip_suffix(b"\n").unwrap_or(head);
+        // Old Macs end lines with CR alone.
+        let end = if head.contains(&b'\n') { b'\n' } else { b'\r' };
+        let complete = head.strip_suffix(&[end]).unwrap_or(head);
         let mut lines = complete
-            .rsplit(|b| *b == b'\n')
+            .rsplit(|b| *b == end)
             .filter(|l| !l.trim_ascii().is_empty());
         let last = lines.next().unwrap_or(&[]);
         // A file larger than the head is cut within its last line.
         let line = lines
             .next()
-            .filter(|_| head.last() != Some(&b'\n'))
+            .filter(|_| head.last() != Some(&end))
             .unwrap_or(last);
         let delimiter = [b'\t', b';'].into_iter().find(|d| line.contains(d));
         Self {
@@ -78,9 +80,10 @@ fn is_overflow(field: &[u8]) -> bool {
     std::str::from_utf8(field).is_ok_and(|t| t.trim().trim_matches(sign) == "∞")
 }
 
-/// Field as text in any encoding, without quotes and byte-order mark.
+/// Field as text, without quotes and byte-order mark; what is not UTF-8 is taken for Latin-1, in which many programs write µ.
 pub fn text(field: &[u8]) -> String {
-    let text = String::from_utf8_lossy(field);
+    let latin = || field.iter().map(|b| char::from(*b)).collect();
+    let text = std::str::from_utf8(field).map_or_else(|_| latin(), str::to_owned);
     let text = text.trim_start_matches('\u{feff}').trim();
     text.trim_matches('"').trim().to_owned()
 }
@@ -268,6 +271,7 @@ mod tests {
         assert_eq!((german.delimiter, german.decimal_comma), (b';', true));
         assert_eq!(german.number(b" -2,5e-3"), Some(-2.5e-3));
         assert_eq!(of("Time\tA\n1.0\t2.0").delimiter, b'\t');
+        assert_eq!(of("a;b\r1;2\r3").delimiter, b';', "CR alone");
         // The head ends within a line that has no delimiter yet.
         assert_eq!(of("a;b\n1;2\n3").delimiter, b';');
     }

@@ -10,6 +10,7 @@ use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use ihd_gate::{ExamineOptions, Reconstruct, examine_taking};
 use ihd_identify::pinn::preset_names;
@@ -75,7 +76,7 @@ pub struct IdentifyArgs {
     anyway: bool,
     /// Write to this file the estimates as a table (.csv), the curves of R, L and the reconstructed waveforms (.svg, .pdf, .png), or a page of
     /// what was captured, found and doubted, with curves to zoom (.html); give it again for another one
-    #[arg(long, short, value_name = "FILE", value_parser = output_file)]
+    #[arg(long, short, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(output_file))]
     out: Vec<PathBuf>,
     // Last: its heading in the help applies to everything after it.
     #[command(flatten)]
@@ -95,9 +96,8 @@ struct NetworkOptions {
     deterministic: bool,
 }
 
-/// Parses the name of a table, a figure or a report.
-fn output_file(text: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(text);
+/// Checks the name of a table, a figure or a report.
+fn output_file(path: PathBuf) -> Result<PathBuf, String> {
     match path.extension().and_then(|ending| ending.to_str()) {
         Some(ending) if ["csv", "html"].contains(&ending) || ENDINGS.contains(&ending) => Ok(path),
         _ => Err(format!(
