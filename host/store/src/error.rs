@@ -152,7 +152,7 @@ impl StoreError {
     }
 
     /// Returns `true` if the same call may work later: there was no room, or the database was locked.
-    pub fn may_pass(&self) -> bool {
+    pub(crate) fn may_pass(&self) -> bool {
         self.is_full() || self.is_locked()
     }
 

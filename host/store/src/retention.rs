@@ -46,20 +46,23 @@ impl DeletedFiles {
 }
 
 impl Store {
-    /// Deletes days of windows that are too old, today's never, before anything is written; thins windows that take too much room (thinning.rs); deletes samples
-    /// without information if the policy is [`SamplePolicy::Informative`]; checkpoints the databases' logs, so that sizes are right.
+    /// Deletes days of windows that are too old, today's never, also on a full disk; deletes samples without information if the policy is
+    /// [`SamplePolicy::Informative`]; checkpoints the databases' logs, so that sizes are right; thins windows that take too much room
+    /// (thinning.rs).
     ///
     /// # Errors
     /// Errors of the database or the operating system; deletions up to then are done.
     pub fn collect_garbage(&mut self) -> Result<CollectionReport, StoreError> {
         let mut collected = CollectionReport::default();
-        let grown = self.grow_older();
+        let is_full = match self.grow_older() {
+            Err(error) if error.is_full() => true,
+            grown => grown.map(|()| false)?,
+        };
         self.measure_other_days()?;
         let by_age = self.delete_by_age()?;
-        match grown {
-            // A full disk: perhaps there is room now.
-            Err(error) if error.is_full() => self.grow_older()?,
-            grown => grown?,
+        if is_full {
+            // Perhaps there is room now.
+            self.grow_older()?;
         }
         self.end_sessions_that_were_cut_off()?;
         if self.options().keep == SamplePolicy::Informative {
