@@ -1,5 +1,6 @@
 //! State of a device that its task shares with the rest of the daemon.
 
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
@@ -31,6 +32,8 @@ pub struct DeviceRecord {
     pub event_bus: EventBus,
     /// Recording of its links.
     pub recorder: RecordingSession,
+    /// `true` once the board is unplugged and this record is replaced by the next one: its recording goes on there.
+    pub is_unplugged: AtomicBool,
     inner: Mutex<Inner>,
     ring: Mutex<LiveRing>,
     fits: Mutex<RecentFits>,
@@ -89,6 +92,7 @@ impl DeviceRecord {
             address: printable(&address),
             event_bus,
             recorder,
+            is_unplugged: AtomicBool::new(false),
             ring: Mutex::default(),
             fits: Mutex::default(),
             pot_tracker: Mutex::default(),

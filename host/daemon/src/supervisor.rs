@@ -1,6 +1,7 @@
 //! Supervision of the device tasks: start, restart after a panic, and tasks for boards plugged into USB.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -45,6 +46,8 @@ pub struct Handle {
 #[derive(Default)]
 pub struct Devices {
     handles: Mutex<BTreeMap<String, Handle>>,
+    /// Recordings, armed or under way, of boards that are unplugged, by the device's name.
+    parked: Mutex<BTreeMap<String, RecordingSession>>,
     tasks: Mutex<Vec<JoinHandle<()>>>,
 }
 
@@ -62,7 +65,8 @@ impl Devices {
     /// Starts the task of a device.
     pub fn start(&self, name: String, address: Address, context: &Context, event_bus: &EventBus) {
         let (requests, received) = mpsc::channel(REQUESTS);
-        let recorder = recorder(&name, context, event_bus);
+        let parked = self.take_parked(&name);
+        let recorder = parked.unwrap_or_else(|| recorder(&name, context, event_bus));
         let record = DeviceRecord::new(
             name.clone(),
             address.to_string(),
@@ -96,9 +100,29 @@ impl Devices {
         lock(&self.tasks).push(tokio::spawn(task));
     }
 
-    /// Removes a device; its task ends by its own stop signal.
+    /// Removes a device that is unplugged; its task ends by its own stop signal. A recording, armed or under way, waits until it is plugged in again.
     fn forget(&self, name: &str) {
-        lock(&self.handles).remove(name);
+        let Some(Handle { record, .. }) = lock(&self.handles).remove(name) else {
+            return;
+        };
+        record.is_unplugged.store(true, Ordering::Relaxed);
+        record.recorder.disconnected();
+        if record.recorder.active().is_some() {
+            lock(&self.parked).insert(name.to_owned(), record.recorder.clone());
+        }
+    }
+
+    /// Takes the recording of a board that was unplugged; `None` if there is none.
+    fn take_parked(&self, name: &str) -> Option<RecordingSession> {
+        lock(&self.parked).remove(name)
+    }
+
+    /// Ends recordings of unplugged boards whose time is over.
+    fn tick_parked(&self) {
+        lock(&self.parked).retain(|_, recorder| {
+            recorder.tick();
+            recorder.active().is_some()
+        });
     }
 
     /// Waits until all tasks have ended.
@@ -178,6 +202,7 @@ pub async fn follow_usb(devices: Arc<Devices>, context: Context, event_bus: Even
                 is_failing = false;
                 let serials: Vec<_> = boards.into_iter().map(|b| b.serial).collect();
                 unplug(&devices, &mut plugged, &serials);
+                devices.tick_parked();
                 for serial in serials {
                     plug(&devices, &mut plugged, serial, &context, &event_bus);
                 }
@@ -207,8 +232,8 @@ fn unplug(
         let stays = serials.contains(serial);
         if !stays {
             tracing::info!(device = usb_name(serial), "unplugged");
-            stop.send_replace(true);
             devices.forget(&usb_name(serial));
+            stop.send_replace(true);
         }
         stays
     });
@@ -245,14 +270,55 @@ fn usb_name(serial: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicU32, Ordering};
+    use std::sync::atomic::AtomicU32;
 
     use ihd_link::AsyncClient;
+    use ihd_model::{RecordSettings, Trigger};
     use ihd_sim::hob::{HobConfig, SimHob};
     use ihd_sim::transport::SharedHob;
     use tokio::time::Instant;
 
     use super::*;
+
+    #[test]
+    fn an_armed_recording_waits_for_a_board_that_is_unplugged() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, phases) = (folder.path().join("a.mcap"), Arc::new(Mutex::default()));
+        let told: Arc<Mutex<Vec<RecordingPhase>>> = Arc::clone(&phases);
+        let recorder = RecordingSession::new(
+            move |_| path.clone(),
+            move |status: RecordingStatus| lock(&told).push(status.phase),
+        );
+        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+        let client = ihd_link::Client::connect(Box::new(hob)).unwrap();
+        let at = client.clock();
+        let sink = recorder.connected(client.hello(), client.front_end(), at);
+        let armed = RecordSettings {
+            trigger: Trigger::Fault,
+            ..RecordSettings::default()
+        };
+        recorder.start(armed, at).unwrap();
+        let name = usb_name("12");
+        let record =
+            DeviceRecord::new(name.clone(), "usb:12".into(), EventBus::default(), recorder);
+        let (record, requests) = (Arc::new(record), mpsc::channel(1).0);
+        let handle = Handle {
+            record: Arc::clone(&record),
+            requests,
+        };
+        let devices = Devices::default();
+        lock(&devices.handles).insert(name.clone(), handle);
+        let mut plugged = BTreeMap::from([("12".to_owned(), watch::channel(false).0)]);
+        unplug(&devices, &mut plugged, &[]);
+        devices.tick_parked();
+        assert!(devices.get(&name).is_none() && plugged.is_empty());
+        assert!(record.is_unplugged.load(Ordering::Relaxed));
+        drop((sink, record));
+        // The board is plugged in again.
+        let recorder = devices.take_parked(&name).expect("it is kept");
+        assert_eq!(recorder.active().map(|now| now.settings), Some(armed));
+        assert_eq!(*lock(&phases), [RecordingPhase::Armed]);
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_task_that_panics_leaves_the_hob_off_and_runs_again() {

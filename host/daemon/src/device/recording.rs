@@ -1,6 +1,7 @@
 //! Recordings by the daemon: the device's recorder is attached to each of its links.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use ihd_capture::recording::{StartedRecording, StoppedRecording};
 use ihd_link::LinkError;
@@ -51,6 +52,10 @@ impl DeviceSession<'_> {
     /// Detaches the recorder at the end of the session. At the stop of the daemon the recording ends; otherwise it waits for the
     /// next connection.
     pub(super) async fn detach_recorder(&mut self, end: &SessionEnd) {
+        if self.record.is_unplugged.load(Ordering::Relaxed) {
+            // The recorder may be attached to the next link of the board already.
+            return;
+        }
         let recorder = self.record.recorder.clone();
         if *end != SessionEnd::Stopping {
             return recorder.disconnected();
