@@ -35,12 +35,12 @@ use ihd_shared::wire::messages::{
 use reader::{Reader, framed, framed_raw};
 
 /// Blocks that one input may run: some forty half-cycles.
-const MOST_BLOCKS: u32 = 10_000;
+const MAX_BLOCKS: u32 = 10_000;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let mut reader = Reader(bytes);
     let mut device = Device::new(reader.u8());
-    while !reader.is_empty() && device.blocks < MOST_BLOCKS {
+    while !reader.is_empty() && device.blocks < MAX_BLOCKS {
         match reader.u8() % 8 {
             0..4 => device.command(&mut reader),
             4 | 5 => {

@@ -23,12 +23,12 @@ use ihd_shared::wire::messages::{
 use reader::{Reader, framed, framed_raw};
 
 /// Bytes that one input may send.
-const MOST_BYTES: u64 = 150_000;
+const MAX_BYTES: u64 = 150_000;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let mut reader = Reader(bytes);
     let mut host = Host::default();
-    while !reader.is_empty() && host.sent < MOST_BYTES {
+    while !reader.is_empty() && host.sent < MAX_BYTES {
         match reader.u8() % 8 {
             0 => {
                 let length = usize::from(reader.u8());

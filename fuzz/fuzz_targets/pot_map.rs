@@ -18,7 +18,7 @@ use ihd_train::lookup::BuiltLookup;
 use reader::Reader;
 
 /// Curves of one input: each is a fit.
-const MOST_CURVES: u8 = 4;
+const MAX_CURVES: u8 = 4;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let mut reader = Reader(bytes);
@@ -32,7 +32,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
 fn any(reader: &mut Reader<'_>) {
     let mut map = PotMap::default();
     let mut now_s = 0.0;
-    for _ in 0..reader.u8() % MOST_CURVES {
+    for _ in 0..reader.u8() % MAX_CURVES {
         now_s = reader.between(0.0, 1e4);
         map.rebase(now_s);
         map.observe(curve(reader, now_s));

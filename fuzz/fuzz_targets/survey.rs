@@ -17,7 +17,7 @@ use ihd_survey::{Finding, Hints, Survey};
 use reader::Reader;
 
 /// Most samples of a capture.
-const MOST_SAMPLES: usize = 20_000;
+const MAX_SAMPLES: usize = 20_000;
 
 libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     let mut reader = Reader(bytes);
@@ -48,7 +48,7 @@ fn hints(reader: &mut Reader<'_>) -> Hints {
 
 /// A hob's voltage and current: a carrier and its third harmonic under the mains' envelope, and noise.
 fn capture(reader: &mut Reader<'_>) -> Capture {
-    let samples = usize::from(reader.u16()) % (MOST_SAMPLES + 1);
+    let samples = usize::from(reader.u16()) % (MAX_SAMPLES + 1);
     let rate_hz = [1e6, 915e3, 250e3, 5e6, 200e3, 400e3][usize::from(reader.u8() % 6)];
     let rate_hz = rate_hz * reader.between(0.5, 1.5);
     let f_sw_hz = reader.between(5e3, 150e3);

@@ -4,10 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Most words that are written by hand.
-const MOST_WORDS: usize = 35_000;
+const MAX_WORDS: usize = 35_000;
 
 /// Most documents.
-const MOST_DOCUMENTS: usize = 16;
+const MAX_DOCUMENTS: usize = 16;
 
 /// Documents of the repository's readers: the book's pages but the list of changes.
 fn documents() -> Vec<PathBuf> {
@@ -54,9 +54,9 @@ fn documents_are_few_and_short() {
         }
     }
     println!("{words:6} words in {} documents", documents.len());
-    assert!(words <= MOST_WORDS, "{words} words");
+    assert!(words <= MAX_WORDS, "{words} words");
     assert!(
-        documents.len() <= MOST_DOCUMENTS,
+        documents.len() <= MAX_DOCUMENTS,
         "{} documents",
         documents.len()
     );

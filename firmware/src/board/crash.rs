@@ -38,7 +38,7 @@ unsafe extern "C" {
 }
 
 /// Ends in a row after which the program stays stopped: each was reported, and another would be the same.
-const MOST_ENDS: u32 = 4;
+const MAX_ENDS: u32 = 4;
 
 fn count_end() -> u32 {
     let [ends, check] = ENDS.each_ref().map(|word| word.load(Ordering::Relaxed));
@@ -58,7 +58,7 @@ fn set_ends(ends: u32) {
 #[cfg(feature = "stm32g474")]
 pub fn count_start(flags: ResetFlags) {
     if flags.watchdog {
-        if count_end() > MOST_ENDS {
+        if count_end() > MAX_ENDS {
             stay(stored_record().fault);
         }
     } else if flags.brown_out || (flags.pin && !flags.software) {
@@ -148,7 +148,7 @@ fn end(reason: ResetReason) -> ! {
         reason: Some(reason),
         ..stored_record()
     });
-    if count_end() > MOST_ENDS {
+    if count_end() > MAX_ENDS {
         stay(stored_record().fault);
     }
     cortex_m::peripheral::SCB::sys_reset()

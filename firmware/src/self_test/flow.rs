@@ -5,11 +5,11 @@ pub const WINDOW_CYCLES: u32 = 17_000_000;
 
 /// Difference between the time that blocks should have taken and the time that passed, in per mille. Two lost blocks a
 /// half-cycle, which are allowed, are 9 at 34 kHz; a block of another frequency at a step is 1.
-const MOST_OFF_PERMILLE: u32 = 50;
+const MAX_OFF_PERMILLE: u32 = 50;
 
 /// Turns of housekeeping in a window: on the emulated chip there are some 2 000, the longest pause is 0.6 ms
 /// (docs/board.md).
-const LEAST_TURNS: u32 = 50;
+const MIN_TURNS: u32 = 50;
 
 /// Counts of each task; all of them wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -88,9 +88,9 @@ impl ProgramFlow {
         let turns = since(counts.turns, self.before.turns);
         let answers = since(counts.answers, self.before.answers);
         let off = u64::from(sampled.abs_diff(passed)) * 1_000;
-        if off > u64::from(passed) * u64::from(MOST_OFF_PERMILLE) {
+        if off > u64::from(passed) * u64::from(MAX_OFF_PERMILLE) {
             Some(Task::Sampling)
-        } else if turns < LEAST_TURNS || turns > blocks.saturating_add(2) {
+        } else if turns < MIN_TURNS || turns > blocks.saturating_add(2) {
             Some(Task::Housekeeping)
         } else if answers != 1 {
             Some(Task::Keep)

@@ -21,7 +21,7 @@ const HALF_CYCLE_S: f64 = 0.01;
 const HALF_CYCLES_S: std::ops::RangeInclusive<f64> = 7.5e-3..=11.2e-3;
 
 /// Largest gap in the count of half-cycles: ten minutes. Beyond it tracking restarts.
-const LARGEST_GAP: u32 = 60_000;
+const MAX_GAP: u32 = 60_000;
 
 /// Temperature tracker of the pot on one coil.
 #[derive(Debug)]
@@ -116,7 +116,7 @@ impl PotTracker {
                 if passed == 0 || passed > u32::MAX / 2 {
                     return Vec::new();
                 }
-                if passed > LARGEST_GAP {
+                if passed > MAX_GAP {
                     self.reset();
                     0.0
                 } else {

@@ -13,7 +13,7 @@ const MAX_MISSING: usize = 1_024;
 
 /// Largest gap in the numbering: a day with a window every half-cycle. Beyond it the device has restarted or its count is
 /// wrong, and numbering restarts there.
-const LARGEST_GAP: u32 = 10_000_000;
+const MAX_GAP: u32 = 10_000_000;
 
 /// Classification of an arrived window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,7 +118,7 @@ impl WindowAccounting {
     fn announce_up_to(&mut self, due: u32) {
         let Some(boot) = &mut self.boot else { return };
         let gap = due.wrapping_sub(boot.next);
-        if gap > LARGEST_GAP {
+        if gap > MAX_GAP {
             // An old or an invalid number.
             return;
         }
@@ -144,9 +144,9 @@ impl WindowAccounting {
         }
         let ahead = seq.wrapping_sub(boot.next);
         let behind = boot.next.wrapping_sub(seq);
-        if ahead <= LARGEST_GAP {
+        if ahead <= MAX_GAP {
             self.announce_up_to(seq);
-        } else if behind <= LARGEST_GAP {
+        } else if behind <= MAX_GAP {
             return Arrival::Duplicate;
         } else {
             self.jumps = self.jumps.saturating_add(1);
@@ -186,7 +186,7 @@ impl WindowAccounting {
         }
     }
 
-    /// Returns the number of jumps beyond `LARGEST_GAP` in the device's numbering.
+    /// Returns the number of jumps beyond `MAX_GAP` in the device's numbering.
     pub fn jumps(&self) -> u32 {
         self.jumps
     }

@@ -19,7 +19,7 @@ pub const MODES: usize = 8;
 const RATES_HZ: [f64; 2] = [8e3, 1.2e6];
 
 /// Least share of a solution that the basis does not have yet; rounding leaves some 1e-15.
-const LEAST_NEW: f64 = 1e-11;
+const MIN_NEW: f64 = 1e-11;
 
 /// Sweeps of the Jacobi rotations: a symmetric matrix of this size is diagonal to rounding after six.
 const SWEEPS: usize = 12;
@@ -81,7 +81,7 @@ impl Modes {
             }
             let left = dot(&next, &next).sqrt();
             // Without metal all solutions are one.
-            if left > LEAST_NEW * whole {
+            if left > MIN_NEW * whole {
                 basis.push(next / left);
             }
         }

@@ -9,7 +9,7 @@ use super::material::{BhCurve, Material};
 const BEHIND: usize = 4;
 
 /// Largest depth behind a foil's edge, in metre.
-const MOST_M: f64 = 0.1;
+const MAX_M: f64 = 0.1;
 
 /// Metals of a load.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,7 +108,7 @@ impl Section {
         match self {
             Self::Foil => Profile::foil_on_base(metals, foil_m, base_m - foil_m, nodes),
             Self::FoilEdge => {
-                Profile::solid(&metals.foil, geometry.load_radius_m.min(MOST_M), nodes, 1.0)
+                Profile::solid(&metals.foil, geometry.load_radius_m.min(MAX_M), nodes, 1.0)
             }
             Self::Base => Profile::solid(&metals.base, base_m, nodes, 0.0),
         }

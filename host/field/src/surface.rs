@@ -26,7 +26,7 @@ const F_HZ: f64 = 20e3;
 const NODES: usize = 352;
 
 /// Largest h: the saturated front is then eight skin depths deep, and the grid has sixteen.
-pub const LARGEST_FIELD: f64 = 60.0;
+pub const MAX_FIELD: f64 = 60.0;
 
 /// Most iterations; saturation needs some thirty.
 const MAX_ITERATIONS: usize = 400;
@@ -34,13 +34,13 @@ const MAX_ITERATIONS: usize = 400;
 /// Relative change of F at which the iteration ends.
 const F_TOLERANCE: f64 = 1e-9;
 
-/// F at an amplitude h of the surface field over α, 0 to [`LARGEST_FIELD`], by describing function; F(0) is
+/// F at an amplitude h of the surface field over α, 0 to [`MAX_FIELD`], by describing function; F(0) is
 /// (1 − j)/2.
 ///
 /// # Errors
 /// [`FieldError::OutOfRange`]; [`FieldError::NotSettled`].
 pub fn flux_of_field(h: f64) -> Result<Complex<f64>, FieldError> {
-    in_range("h", h, 0.0, LARGEST_FIELD, "0 to 60")?;
+    in_range("h", h, 0.0, MAX_FIELD, "0 to 60")?;
     let depth = DepthGrid::new(&METAL, 0.1, NODES)?;
     let sigma = METAL.sigma_s_per_m();
     let sheet_s: Vec<f64> = depth.step_m.iter().map(|step| sigma * step).collect();

@@ -21,10 +21,10 @@ const DAY: Duration = Duration::from_secs(86_400);
 pub const ACK_WAIT: Duration = Duration::from_secs(30);
 
 /// Deliveries of a window after which it is given up.
-pub const MOST_DELIVERIES: i64 = 5;
+pub const MAX_DELIVERIES: i64 = 5;
 
 /// Deliveries after which a window is given up that some workers leave to others: each time that one of them passes it on, every 10 s, counts.
-pub const MOST_PASSED_ON: i64 = 500;
+pub const MAX_PASSED_ON: i64 = 500;
 
 /// Windows for each thread of a worker: one in progress, one waiting.
 pub const PER_THREAD: usize = 2;
@@ -37,7 +37,7 @@ pub const DUPLICATES_WITHIN: Duration = Duration::from_secs(3_600);
 pub const SILENT_AFTER: Duration = Duration::from_secs(30);
 
 /// Largest value in a bucket, in bytes: the pots of a hob.
-const LARGEST_VALUE: i32 = 1 << 18;
+const MAX_VALUE: i32 = 1 << 18;
 
 /// Limits of the fleet on the server. Windows beyond their limit are refused, so that edges keep them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -165,7 +165,7 @@ impl FleetLimits {
             name: names::bucket_stream(name),
             subjects: vec![names::key(name, ">")],
             max_messages_per_subject: history,
-            max_message_size: LARGEST_VALUE,
+            max_message_size: MAX_VALUE,
             max_age,
             discard: DiscardPolicy::New,
             storage: StorageType::File,

@@ -19,9 +19,7 @@ use tokio::task::JoinSet;
 
 use crate::clock::now_ms;
 use crate::dead_letters;
-use crate::jetstream::{
-    self, ACK_WAIT, JetStreamError, MOST_DELIVERIES, MOST_PASSED_ON, PER_THREAD,
-};
+use crate::jetstream::{self, ACK_WAIT, JetStreamError, MAX_DELIVERIES, MAX_PASSED_ON, PER_THREAD};
 use crate::names;
 use crate::wire::{AnswerMessage, WindowMessage};
 
@@ -345,8 +343,8 @@ enum Step {
 /// only a worker that may identify it gives it up, and later.
 fn next_step(window: &WindowMessage, worker: &str, delivered: i64) -> Step {
     let most = match window.not_for.is_empty() {
-        true => MOST_DELIVERIES,
-        false => MOST_PASSED_ON,
+        true => MAX_DELIVERIES,
+        false => MAX_PASSED_ON,
     };
     if window.not_for.iter().any(|name| name == worker) {
         Step::LeaveToOthers

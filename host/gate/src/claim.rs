@@ -25,7 +25,7 @@ const CHECKED_PART: std::ops::Range<f64> = 0.05..0.95;
 const STRETCHES: usize = 9;
 
 /// Fewest phasors of a stretch.
-const LEAST_PHASORS: usize = 8;
+const MIN_PHASORS: usize = 8;
 
 /// Limit over one stretch. Its share in percent is the check's own error: R and L change within the lock-in's boxcars.
 /// An honest claim follows the same samples and shares most of their noise, so twice its standard deviation is added.
@@ -147,7 +147,7 @@ pub fn confirm(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Confirmat
     for (k, chi2) in chi2.iter_mut().enumerate() {
         let within = |p: &&&Residual| stretch(p.phase) == Some(k);
         let of: Vec<&Residual> = all.iter().filter(within).copied().collect();
-        if of.len() >= LEAST_PHASORS {
+        if of.len() >= MIN_PHASORS {
             look(&of, OWN_ERROR)?;
             let sum: f64 = of.iter().map(|p| p.chi2(noise, kernel)).sum();
             *chi2 = (sum / of.len() as f64).max(1.0);
@@ -269,7 +269,7 @@ fn boxcar(samples_per_period: f64) -> Boxcar {
 fn residuals(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Vec<Residual>, ClaimError> {
     let per_period = segment.samples_per_period();
     let phasors = demodulate(segment, boxcar(per_period));
-    let least = STRETCHES * LEAST_PHASORS;
+    let least = STRETCHES * MIN_PHASORS;
     if phasors.len() < least {
         return Err(ClaimError::Segment(SegmentError::TooShort {
             periods: segment.len() as f64 / per_period,

@@ -10,13 +10,13 @@ pub const MIDDLE: std::ops::Range<f64> = 0.1..0.9;
 
 /// Least share of a half-cycle's middle that a segment must hold for a judgement beside whole half-cycles: near the end of a
 /// stretch splines are free.
-pub const LEAST_SEEN: f64 = 0.5;
+pub const MIN_SEEN: f64 = 0.5;
 
 /// Times of a half-cycle's middle at which estimates are compared.
 const POINTS: usize = 160;
 
 /// Fewest of these times that both estimates must cover.
-const LEAST_POINTS: usize = 8;
+const MIN_POINTS: usize = 8;
 
 /// A normal variable's mean magnitude, in standard deviations.
 const MEAN_MAGNITUDE: f64 = 0.8;
@@ -33,7 +33,7 @@ pub struct HalfCycleSpan {
 impl HalfCycleSpan {
     /// Returns `true` if enough of the middle is there for a judgement of its own.
     pub fn is_whole(&self) -> bool {
-        self.seen >= LEAST_SEEN
+        self.seen >= MIN_SEEN
     }
 }
 
@@ -63,7 +63,7 @@ pub fn judged(segment: &Segment) -> Vec<HalfCycleSpan> {
     if !whole.is_empty() {
         return whole;
     }
-    let enough = |h: &HalfCycleSpan| h.seen * POINTS as f64 >= LEAST_POINTS as f64;
+    let enough = |h: &HalfCycleSpan| h.seen * POINTS as f64 >= MIN_POINTS as f64;
     let longest = all.into_iter().max_by(|a, b| a.seen.total_cmp(&b.seen));
     longest.filter(enough).into_iter().collect()
 }
@@ -178,7 +178,7 @@ struct Samples {
 impl Samples {
     /// Samples an estimate at these times; `None` if they are too few to compare.
     fn of(estimate: &Estimate, times_s: &[f64]) -> Option<Self> {
-        if times_s.len() < LEAST_POINTS {
+        if times_s.len() < MIN_POINTS {
             return None;
         }
         let mut values = TrajectoryCursor::from(estimate, f64::NEG_INFINITY)?;

@@ -18,7 +18,7 @@ use crate::joint::{Cause, JointFit};
 use crate::limits::{INFO_SHARE, TOLERABLE_PCT, WARNING_SHARE};
 
 /// Most phasors that are searched together, because a tone need not last longer.
-const MOST_PHASORS: usize = 8192;
+const MAX_PHASORS: usize = 8192;
 
 /// Switching periods of a boxcar: of two, three and four there is one that whole samples nearly fill, also at 61/3 samples
 /// a period, so that the harmonics lie on its zeros.
@@ -159,7 +159,7 @@ pub fn find(segment: &Segment, noise: WhiteNoise) -> Interference {
         residual.split(step_s);
     }
     let aliases = aliases_hz(segment);
-    let chunks = residual.len().div_ceil(MOST_PHASORS).max(1);
+    let chunks = residual.len().div_ceil(MAX_PHASORS).max(1);
     let length = residual.len() / chunks;
     let mut far: Vec<Tone> = (0..chunks)
         .flat_map(|k| {

@@ -27,19 +27,19 @@ pub const MISFIT_PCT: [f64; 2] = [0.35, 0.25];
 const MISFIT_SIGMAS: f64 = 5.0;
 
 /// Least gain of a tone over the variance that is left: chance reaches it in 1e-8 of searches.
-const LEAST_GAIN: f64 = 50.0;
+const MIN_GAIN: f64 = 50.0;
 
 /// Largest misfit beside the tones over that without them, for tones as its cause.
 const MAX_MISFIT_RATIO: f64 = 0.35;
 
 /// Least turns of a tone in the stretch: a slower one is a drift.
-const LEAST_TURNS: f64 = 0.8;
+const MIN_TURNS: f64 = 0.8;
 
 /// Least share of a tone that lies outside the load's space.
-const LEAST_OUTSIDE: f64 = 0.01;
+const MIN_OUTSIDE: f64 = 0.01;
 
 /// Most tones.
-const MOST_TONES: usize = 3;
+const MAX_TONES: usize = 3;
 
 /// Fewest means before and after a step.
 const BESIDE_STEP: usize = 8;
@@ -304,7 +304,7 @@ impl Means {
             Matrix2::from_fn(|a, b| dot(&columns[a], &columns[b]) - dot(&inside[a], &inside[b]));
         let whole = dot(&columns[0], &columns[0]);
         let right = Vector2::new(dot(&columns[0], left), dot(&columns[1], left));
-        if gram.symmetric_eigenvalues().min() < LEAST_OUTSIDE * whole {
+        if gram.symmetric_eigenvalues().min() < MIN_OUTSIDE * whole {
             return None;
         }
         let v = gram.cholesky()?.solve(&right);
@@ -331,10 +331,10 @@ impl Means {
         let step_hz = 0.25 / lasts_s;
         let reach_hz = REACH_HZ.min(0.25 * self.t_s.len() as f64 / lasts_s);
         let steps = (reach_hz / step_hz) as i64;
-        let least = (LEAST_TURNS / lasts_s / step_hz).ceil() as i64;
+        let least = (MIN_TURNS / lasts_s / step_hz).ceil() as i64;
         let mut tones: Vec<NearTone> = Vec::new();
         let mut space = loads.clone();
-        while tones.len() < MOST_TONES {
+        while tones.len() < MAX_TONES {
             let left = space.outside(v);
             let places = (-steps..=steps).filter(|k| k.abs() >= least);
             let gain = |k: i64| self.gain_and_kind(&space, &left, k as f64 * step_hz).0;
@@ -387,7 +387,7 @@ impl Means {
             .checked_sub(space.dimension() + 3)
             .filter(|n| *n > 0)?;
         let variance = (all - gain).max(0.0) / free as f64;
-        (gain > LEAST_GAIN * variance).then_some(NearTone {
+        (gain > MIN_GAIN * variance).then_some(NearTone {
             offset_hz,
             v,
             follows_bus,

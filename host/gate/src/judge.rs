@@ -15,7 +15,7 @@ use crate::verdict::{Gate, HalfCycleVerdict, Judgement, TOO_SHORT};
 const NOISE_FACTOR: f64 = 2.0;
 
 /// Least share of the half-cycles' middles that an estimate must span.
-const LEAST_COVERED: f64 = 0.9;
+const MIN_COVERED: f64 = 0.9;
 
 /// Input of the judgement of one estimate.
 #[derive(Clone, Copy, Debug)]
@@ -139,8 +139,7 @@ fn verdicts(
 
 fn left_out(seen_pct: f64) -> Remark {
     let text = format!("only {seen_pct:.0} % of the half-cycle's middle was captured");
-    Remark::new(TOO_SHORT, Severity::Info, text)
-        .with(seen_pct, Some(100.0 * comparison::LEAST_SEEN))
+    Remark::new(TOO_SHORT, Severity::Info, text).with(seen_pct, Some(100.0 * comparison::MIN_SEEN))
 }
 
 /// Judges a method that failed.
@@ -156,13 +155,13 @@ pub fn judge_failure(remarks: &[Remark], method: Method, why: &str) -> Judgement
 
 fn coverage(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
     let covered = comparison::coverage(segment, estimate);
-    (covered < LEAST_COVERED).then(|| {
+    (covered < MIN_COVERED).then(|| {
         let text = format!(
             "only {:.0} % of the half-cycles' middles are identified: a part of the stretch was left out",
             100.0 * covered
         );
         Remark::new("not_covered", Severity::Warning, text)
-            .with(100.0 * covered, Some(100.0 * LEAST_COVERED))
+            .with(100.0 * covered, Some(100.0 * MIN_COVERED))
     })
 }
 

@@ -19,7 +19,7 @@ const NEIGHBOURS: usize = 32;
 const LOBE_LINES: usize = 4;
 
 /// Largest offset that is searched, as a share of the signal's rate: a boxcar's first zero lies just beyond it.
-const MOST_OFFSET: f64 = 0.25;
+const MAX_OFFSET: f64 = 0.25;
 
 /// Steps of the search for a line's frequency.
 const SEARCH_STEPS: usize = 24;
@@ -61,7 +61,7 @@ impl Lines {
     /// returns `true` may have a mirror image.
     pub fn strongest(&self, expected: impl Fn(i64) -> bool) -> Option<i64> {
         let of = |k: i64| self.power(k);
-        let most = (MOST_OFFSET * self.0.len() as f64) as i64;
+        let most = (MAX_OFFSET * self.0.len() as f64) as i64;
         let stands_out = |k: &i64| {
             let around = (LOBE_LINES..LOBE_LINES + NEIGHBOURS)
                 .flat_map(|d| [of(k - d as i64), of(k + d as i64)]);

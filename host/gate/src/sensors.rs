@@ -17,7 +17,7 @@ const MODEL: f64 = 0.02;
 const BRIDGE_R_SIGMA_OHM: f64 = 0.01;
 
 /// Sampling rate in hertz from which the plateaus between edges have enough samples.
-pub const LEAST_RATE_HZ: f64 = 6e6;
+pub const MIN_RATE_HZ: f64 = 6e6;
 
 /// Share of the sampling interval by which a lag may be wrong below that rate: clean captures of 61 samples in three periods
 /// show lags of 10 to 29 ns, 1 to 3 % of it.
@@ -29,7 +29,7 @@ const DOUBTFUL_PCT: f64 = 0.35;
 /// Returns `true` if a lag is an artefact of sampling too coarse for plateaus, at a rate in hertz. Distortions that no delay explains
 /// are none at any rate.
 pub fn is_of_sampling(sensors: &SelfCalibration, rate_hz: f64) -> bool {
-    rate_hz < LEAST_RATE_HZ
+    rate_hz < MIN_RATE_HZ
         && sensors.is_sound()
         && sensors.lag_s.value.abs() * rate_hz < COARSE_SHARE
 }
@@ -74,7 +74,7 @@ pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
         return None;
     };
     let (off, limit) = sensors.gain_off()?;
-    if off.abs() <= limit || off.abs() > MOST_GAIN || !sensors.is_sound() {
+    if off.abs() <= limit || off.abs() > MAX_GAIN || !sensors.is_sound() {
         return None;
     }
     let factor = (1.0 / (1.0 + off)) as f32;
@@ -92,7 +92,7 @@ pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
 }
 
 /// Largest error of the gains that is corrected: beyond, a probe's factor is wrong, or the capacitance.
-const MOST_GAIN: f64 = 0.2;
+const MAX_GAIN: f64 = 0.2;
 
 /// Uncertainty of an applied sensor correction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -172,14 +172,14 @@ impl CorrectionUncertainty {
     /// Warning on a correction that is uncertain, else `None`.
     pub fn remark(&self, segment: &Segment, load: Option<Load>) -> Option<Remark> {
         let rate_hz = 1.0 / segment.dt_s;
-        if rate_hz < LEAST_RATE_HZ && self.lag_sigma_s > 0.0 {
+        if rate_hz < MIN_RATE_HZ && self.lag_sigma_s > 0.0 {
             let text = format!(
                 "the sensors were corrected from samples at {:.2} MS/s only, of which few lie between the edges: sample faster, \
                  or compare with --self-calibrate off",
                 rate_hz * 1e-6
             );
             let remark = Remark::new("correction_doubtful", Severity::Warning, text);
-            return Some(remark.with(rate_hz, Some(LEAST_RATE_HZ)));
+            return Some(remark.with(rate_hz, Some(MIN_RATE_HZ)));
         }
         let load = load?;
         let (r, _) = self.sigmas(self.lag_sigma_s, load, segment.f_sw_hz);

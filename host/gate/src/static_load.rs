@@ -17,7 +17,7 @@ const TERMS: usize = 6;
 const LAGS: [f64; 3] = [0.0, 0.5, 1.0];
 
 /// Share of a column that must lie outside the others: a constant amplitude determines one term only.
-const LEAST_NEW: f64 = 1e-5;
+const MIN_NEW: f64 = 1e-5;
 
 /// Phasors of one switching period, or their mean over some.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -142,7 +142,7 @@ impl Space {
         // Twice, because the first pass leaves rounding of the removed part.
         let mut left = self.outside(&self.outside(&column));
         let norm = dot(&left, &left).sqrt();
-        if norm > LEAST_NEW * whole {
+        if norm > MIN_NEW * whole {
             left.iter_mut().for_each(|x| *x /= norm);
             self.basis.push(left);
         }

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 # Current amplitude, as a share of the largest, below which the truth's own R and L are rounding.
-LEAST_CURRENT = 1e-3
+MIN_CURRENT = 1e-3
 # The paper drops the first half-cycle, in which filters settle.
 FROM_S = 0.01
 # Exit code of `ihd identify` when its gate refuses a result; the estimates are there all the same.
@@ -82,7 +82,7 @@ def simulated(ihd, case, folder):
 def read(recording, table):
     with np.load(table) as file:
         i_a = file["truth_i_a"]
-        known = i_a > LEAST_CURRENT * i_a.max()
+        known = i_a > MIN_CURRENT * i_a.max()
         samples = len(file["v_V"])
         return Capture(
             path=recording,

@@ -8,7 +8,7 @@ use super::Estimate;
 use super::trajectory::TrajectoryCursor;
 
 /// Share of the largest current amplitude below which the truth's own R and L are rounding errors.
-const LEAST_CURRENT: f64 = 1e-3;
+const MIN_CURRENT: f64 = 1e-3;
 
 /// Mean relative errors of one estimate.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +52,7 @@ impl Accuracy {
 pub fn fundamental(truth: &[PeriodTruth]) -> Truth {
     let largest = truth.iter().map(|t| t.i_a).fold(0.0, f64::max);
     let mut fundamental = Truth::default();
-    let known = truth.iter().filter(|t| t.i_a > LEAST_CURRENT * largest);
+    let known = truth.iter().filter(|t| t.i_a > MIN_CURRENT * largest);
     for t in known.filter(|t| t.r_ohm[0] != 0.0 && t.l_h[0] != 0.0) {
         fundamental.f_sw_hz = t.f_sw_hz;
         fundamental.t_s.push(t.t_s);

@@ -61,12 +61,12 @@ impl Filter {
 }
 
 /// Attenuation of L from which a remark is made.
-const LEAST_ATTENUATION: f64 = 0.01;
+const MIN_ATTENUATION: f64 = 0.01;
 
 /// Remark on the attenuation of L by noise of the current: if `share` of the regressor's mean square is noise, L is smaller
 /// by as much (errors in variables).
 fn attenuation(share: f64) -> Option<Remark> {
-    if share.is_nan() || share <= LEAST_ATTENUATION {
+    if share.is_nan() || share <= MIN_ATTENUATION {
         return None;
     }
     let percent = 100.0 * share.min(1.0);
@@ -75,7 +75,7 @@ fn attenuation(share: f64) -> Option<Remark> {
          another method, or a longer derivative_periods"
     );
     let remark = Remark::new("noise_bias", Severity::Error, text);
-    Some(remark.with(percent, Some(100.0 * LEAST_ATTENUATION)))
+    Some(remark.with(percent, Some(100.0 * MIN_ATTENUATION)))
 }
 
 /// Runs the linear filter over the segment.

@@ -9,7 +9,7 @@ use super::Estimate;
 const LIMITS: [f64; 2] = [5e-3, 3.5e-3];
 
 /// Least χ² of a residual that is mentioned; a smaller one is chance and rounding.
-const LEAST_CHI2: f64 = 4.0;
+const MIN_CHI2: f64 = 4.0;
 
 /// Means over an estimate, weighted with the squared current.
 #[derive(Clone, Copy, Debug, Default)]
@@ -47,7 +47,7 @@ impl ModelResidual {
     /// Remark on the residual; `None` if it is within noise.
     fn remark(&self) -> Option<Remark> {
         let [chi2, r, l] = [self.chi2, self.r, self.l].map(|sum| sum / self.weight);
-        if self.weight <= 0.0 || chi2 <= LEAST_CHI2 {
+        if self.weight <= 0.0 || chi2 <= MIN_CHI2 {
             return None;
         }
         let (severity, advice) = if r > LIMITS[0] || l > LIMITS[1] {
@@ -62,6 +62,6 @@ impl ModelResidual {
             100.0 * r,
             100.0 * l,
         );
-        Some(Remark::new("model_residual", severity, text).with(chi2, Some(LEAST_CHI2)))
+        Some(Remark::new("model_residual", severity, text).with(chi2, Some(MIN_CHI2)))
     }
 }

@@ -26,7 +26,7 @@ pub fn with_measured_noise(config: PinnConfig, segment: &Segment) -> PinnConfig 
 pub fn follow_carrier(config: &mut PinnConfig, carrier: &CarrierInputs, crossing_s: f64) {
     // R and L are interpolated linearly between the slow times.
     const SLOW_POINTS: usize = 4;
-    let intervals = carrier.intervals.min(MOST_INTERVALS);
+    let intervals = carrier.intervals.min(MAX_INTERVALS);
     config.spline_intervals = config.spline_intervals.max(intervals);
     config.slow_points = config.slow_points.max(SLOW_POINTS * intervals);
     // Start values belong to other inputs.
@@ -39,7 +39,7 @@ pub fn follow_carrier(config: &mut PinnConfig, carrier: &CarrierInputs, crossing
 }
 
 /// Most spline intervals of a half-cycle that the network accepts.
-const MOST_INTERVALS: usize = 400;
+const MAX_INTERVALS: usize = 400;
 
 /// Waveform of the samples `from` up to `to`, within the mains half-cycle that begins at `crossing_s` in seconds, from which
 /// its time counts.

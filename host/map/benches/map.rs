@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use ihd_map::library::{Library, MOST_ENTRIES};
+use ihd_map::library::{Library, MAX_ENTRIES};
 use ihd_map::{CurrentCurve, MeasuredPoint, PotEntry, PotMap, PotModel, Provenance};
 
 /// A curve of a ferritic pot of 18 cm, with the errors of a window at 40 dB.
@@ -64,7 +64,7 @@ fn bench(c: &mut Criterion) {
     for curve in &curves {
         known.observe(curve.clone());
     }
-    for entries in [1, 20, MOST_ENTRIES] {
+    for entries in [1, 20, MAX_ENTRIES] {
         let library = Arc::new(library(&known, entries));
         let name = format!("a pot that was never seen, one curve, {entries} pots in the library");
         c.bench_function(&name, |b| {

@@ -9,14 +9,14 @@ use crate::misfit::current_knots;
 const PER_KNOT: f64 = 1.5;
 
 /// Most bins of a curve: up to twice the highest current of the lookup.
-pub const MOST_BINS: usize = 32;
+pub const MAX_BINS: usize = 32;
 
 /// Share of a curve's weight that remains when another window is fused: about fifty windows count, ten seconds.
 const KEPT_WEIGHT_SHARE: f64 = 0.98;
 
 /// Least relative deviations of R and L at the largest current, which no number of windows reduces; they grow as the current
 /// falls. They cover errors of bins and sensors.
-const LEAST_SIGMA: [f64; 2] = [2e-4, 1e-4];
+const MIN_SIGMA: [f64; 2] = [2e-4, 1e-4];
 
 /// Relative deviations of R and L at the largest current that the network has in common at all windows: it rounds off R and L where
 /// the current rises steeply (host/train/src/trainer/deviations.rs). They grow as the current falls.
@@ -96,7 +96,7 @@ impl Bin {
         let i_a = self.i_a();
         let weights = self.ln_weights();
         let grown = most_a / i_a.max(1e-3);
-        let relative = |q: usize| 1.0 / weights[q] + (LEAST_SIGMA[q] * grown).powi(2);
+        let relative = |q: usize| 1.0 / weights[q] + (MIN_SIGMA[q] * grown).powi(2);
         sound.then(|| Mean {
             i_a,
             ln: [r_ohm.ln(), l_h.ln()],
@@ -170,13 +170,13 @@ pub struct CurrentCurve {
 }
 
 fn no_drift() -> [Drift; 2] {
-    [0, 1].map(|q| Drift::new(q, LEAST_SIGMA[q].powi(2)))
+    [0, 1].map(|q| Drift::new(q, MIN_SIGMA[q].powi(2)))
 }
 
 impl CurrentCurve {
     /// Creates a curve from one window; points that are not numbers, or have no deviations, are left out.
     pub fn new(f_sw_hz: f64, t_s: f64, points: impl Iterator<Item = MeasuredPoint>) -> Self {
-        let mut bins = vec![Bin::default(); MOST_BINS];
+        let mut bins = vec![Bin::default(); MAX_BINS];
         for p in points {
             let at = (current_knots(p.i_a) * PER_KNOT) as usize;
             let all = [p.i_a, p.r_ohm, p.l_h, p.r_sigma_ohm, p.l_sigma_h];
@@ -216,7 +216,7 @@ impl CurrentCurve {
         }
         [0, 1].map(|q| {
             let [weighted, weight] = sums[q];
-            let variance = 1.0 / weight + LEAST_SIGMA[q].powi(2);
+            let variance = 1.0 / weight + MIN_SIGMA[q].powi(2);
             (weight > 0.0).then(|| (weighted / weight, variance))
         })
     }
@@ -263,7 +263,7 @@ impl CurrentCurve {
     pub fn is_sound(&self) -> bool {
         let known = FREQUENCIES_HZ.contains(&self.f_sw_hz) && self.t_s.is_finite();
         known
-            && self.bins.len() == MOST_BINS
+            && self.bins.len() == MAX_BINS
             && self.bins.iter().all(Bin::is_sound)
             && self.drift.iter().all(Drift::is_sound)
     }

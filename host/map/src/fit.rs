@@ -12,7 +12,7 @@ use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
 use crate::pot_model::FrequencyModel;
 
 /// Most steps of a descent.
-pub(crate) const MOST_STEPS: usize = 12;
+pub(crate) const MAX_STEPS: usize = 12;
 
 /// Fall of the cost at which a descent ends: a number then moves far less than its deviation.
 const COST_TOLERANCE: f64 = 1e-3;
@@ -167,7 +167,7 @@ pub(crate) fn fit(
     let mut steps = begin;
     let mut best = cost(&steps, &here.ln)?;
     let mut damping = 1e-2;
-    for _ in 0..most_steps.min(MOST_STEPS) {
+    for _ in 0..most_steps.min(MAX_STEPS) {
         let left = &seen - &here.ln;
         let slopes = white.l_dirty().solve_lower_triangular(&here.slopes)?;
         let left = white.l_dirty().solve_lower_triangular(&left)?;
@@ -232,7 +232,7 @@ pub(crate) fn fit_any(data: &[Datum], tau: [f64; 2]) -> Option<Descent> {
         )
     });
     let best = looks.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
-    fit(data, (&best.prior, best.steps), CENTRED, tau, MOST_STEPS)
+    fit(data, (&best.prior, best.steps), CENTRED, tau, MAX_STEPS)
 }
 
 /// Fits the same pot off centre; `None` if that is not better by more than chance.
@@ -241,7 +241,7 @@ pub(crate) fn fit_off_centre(data: &[Datum], centred: &Descent, tau: [f64; 2]) -
     const MIN_COST_FALL: f64 = 4.0;
     let mut begin = centred.steps;
     begin[CENTRED] = 1.0;
-    let shifted = fit(data, (&centred.prior, begin), COUNT, tau, MOST_STEPS)?;
+    let shifted = fit(data, (&centred.prior, begin), COUNT, tau, MAX_STEPS)?;
     (shifted.cost + MIN_COST_FALL < centred.cost).then_some(shifted)
 }
 

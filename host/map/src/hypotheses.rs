@@ -28,7 +28,7 @@ const MIN_ANY_POT_SHARE: f64 = 0.5;
 const MAX_DEVIATIONS: f64 = 2.0;
 
 /// Least relative deviations of R and L in that comparison.
-const LEAST_SIGMA: [f64; 2] = [0.004, 0.002];
+const MIN_SIGMA: [f64; 2] = [0.004, 0.002];
 
 /// Share below which a hypothesis is dropped.
 const DROPPED: f64 = 0.01;
@@ -74,8 +74,8 @@ impl LibraryHypothesis {
     /// entry knows more and contradicts nothing; one made to fit the first measurements and to be wrong elsewhere does not pass.
     fn is_believable(&self, alone: &[RlPrediction]) -> bool {
         let square = |(value, alone): (&RlPrediction, &RlPrediction)| {
-            let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(LEAST_SIGMA[0]);
-            let l = (value.l_h / alone.l_h).ln() / alone.l_sigma.hypot(LEAST_SIGMA[1]);
+            let r = (value.r_ohm / alone.r_ohm).ln() / alone.r_sigma.hypot(MIN_SIGMA[0]);
+            let l = (value.l_h / alone.l_h).ln() / alone.l_sigma.hypot(MIN_SIGMA[1]);
             0.5 * (r * r + l * l)
         };
         let values = self.at(&shape_places(), 0.0);

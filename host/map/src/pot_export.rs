@@ -7,8 +7,8 @@ use crate::{PotMap, PotModel};
 
 /// Least number of frequencies at which a pot must have been measured; the next constant is the least ratio of the highest to
 /// the lowest.
-const LEAST_CURVES: u32 = 3;
-const LEAST_RATIO: f64 = 1.19;
+const MIN_CURVES: u32 = 3;
+const MIN_RATIO: f64 = 1.19;
 
 impl PotMap {
     /// Creates the library entry of a pot that this hob knows well by itself: measured at three frequencies or more, the highest a
@@ -17,7 +17,7 @@ impl PotMap {
     pub fn entry(&self, by: Provenance) -> Option<PotEntry> {
         let posterior = self.own_posterior()?;
         let seen = self.measured_range()?;
-        if seen.curves < LEAST_CURVES || seen.f_sw_hz[1] < LEAST_RATIO * seen.f_sw_hz[0] {
+        if seen.curves < MIN_CURVES || seen.f_sw_hz[1] < MIN_RATIO * seen.f_sw_hz[0] {
             return None;
         }
         let factor = posterior.factor_of_numbers()?;

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::fit::{
-    Datum, Descent, Linearised, MOST_STEPS, covariance, fit, fit_any, fit_off_centre, measured,
+    Datum, Descent, Linearised, MAX_STEPS, covariance, fit, fit_any, fit_off_centre, measured,
 };
 use crate::parameters::{self, CENTRED, COUNT, PotSpread, Prior, Vector};
 
@@ -15,7 +15,7 @@ const MISFITS_R: [f64; 7] = [0.004, 0.008, 0.016, 0.03, 0.06, 0.12, 0.24];
 const MISFITS_L: [f64; 7] = [0.002, 0.004, 0.008, 0.016, 0.03, 0.06, 0.12];
 
 /// Most data that the fit uses: more determine seven numbers no better.
-const MOST_DATA: usize = 48;
+const MAX_DATA: usize = 48;
 
 /// Result of a fit. Together with the measured data it determines every prediction.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -88,13 +88,7 @@ pub(crate) fn fit_pot(
         return Some(PotFit::of(&fitted, misfit));
     }
     let mut fitted = match believed {
-        Some(prior) => fit(
-            few,
-            (prior, [0.0; COUNT]),
-            CENTRED,
-            FIRST_MISFIT,
-            MOST_STEPS,
-        )?,
+        Some(prior) => fit(few, (prior, [0.0; COUNT]), CENTRED, FIRST_MISFIT, MAX_STEPS)?,
         None => fit_any(few, FIRST_MISFIT)?,
     };
     let mut misfit = best_misfit(few, &fitted, FIRST_MISFIT)?;
@@ -109,9 +103,9 @@ pub(crate) fn fit_pot(
     Some(PotFit::of(&fitted, misfit))
 }
 
-/// At most [`MOST_DATA`] data, taken evenly from all.
+/// At most [`MAX_DATA`] data, taken evenly from all.
 fn thinned(data: &[Datum]) -> Vec<Datum> {
-    let every = data.len().div_ceil(MOST_DATA).max(1);
+    let every = data.len().div_ceil(MAX_DATA).max(1);
     data.iter().copied().step_by(every).collect()
 }
 

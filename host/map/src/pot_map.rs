@@ -21,7 +21,7 @@ use crate::surface_table::lagrange;
 const MAX_FREQUENCY_DIFFERENCE: f64 = 5e-3;
 
 /// Most curves of a map: more than the eight rows of a lookup can resolve.
-pub const MOST_CURVES: usize = 10;
+pub const MAX_CURVES: usize = 10;
 
 /// Mean square in expected variances above which a window belongs to another pot: chance gives 2 once in a million for
 /// the forty numbers of a window.
@@ -138,7 +138,7 @@ impl PotMap {
     /// Restores a map; `None` if no windows can have produced the numbers.
     pub fn from_state(state: PotMapState) -> Option<Self> {
         let sound = |curves: &[CurrentCurve]| {
-            curves.len() <= MOST_CURVES && curves.iter().all(CurrentCurve::is_sound)
+            curves.len() <= MAX_CURVES && curves.iter().all(CurrentCurve::is_sound)
         };
         if !sound(&state.curves) {
             return None;
@@ -263,7 +263,7 @@ impl PotMap {
             self.curves[k].fuse(&curve, ratio);
             return self.curves[k].windows;
         }
-        if self.curves.len() == MOST_CURVES {
+        if self.curves.len() == MAX_CURVES {
             let oldest = |a: &usize, b: &usize| self.curves[*a].t_s.total_cmp(&self.curves[*b].t_s);
             if let Some(oldest) = (0..self.curves.len()).min_by(oldest) {
                 self.curves.remove(oldest);

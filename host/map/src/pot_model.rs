@@ -18,7 +18,7 @@ use crate::sector::Sector;
 const SECTORS: usize = 3;
 
 /// Offset in metre below which a pot counts as centred: the impedance changes by less than a thousandth.
-const LEAST_OFFSET_M: f64 = 0.5e-3;
+const MIN_OFFSET_M: f64 = 0.5e-3;
 
 /// Numbers of a pot over the coil of the paper (section IV).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -97,7 +97,7 @@ impl PotModel {
 
     /// Rim in each direction.
     fn rims(&self) -> Vec<Rim> {
-        if self.offset_m < LEAST_OFFSET_M {
+        if self.offset_m < MIN_OFFSET_M {
             return vec![Rim {
                 at_m: self.radius_m,
                 by_radius: 1.0,

@@ -2,24 +2,24 @@
 
 use std::sync::LazyLock;
 
-use ihd_field::surface::{LARGEST_FIELD, flux_of_field};
+use ihd_field::surface::{MAX_FIELD, flux_of_field};
 use nalgebra::Complex;
 
 /// Points of the table, even in ln(1 + h): F bends little there, and a cubic through four points has an error of 1e-6.
 const POINTS: usize = 64;
 
 static TABLE: LazyLock<Vec<Complex<f64>>> = LazyLock::new(|| {
-    let last = (1.0 + LARGEST_FIELD).ln();
+    let last = (1.0 + MAX_FIELD).ln();
     (0..POINTS)
         .map(|k| {
             let h = (k as f64 / (POINTS - 1) as f64 * last).exp() - 1.0;
             // Within its range it converges (tests of host/field); a half-space without saturation is the fallback.
-            flux_of_field(h.min(LARGEST_FIELD)).unwrap_or(Complex::new(0.5, -0.5))
+            flux_of_field(h.min(MAX_FIELD)).unwrap_or(Complex::new(0.5, -0.5))
         })
         .collect()
 });
 
-/// F at an amplitude of the surface field over α; constant beyond [`LARGEST_FIELD`], which no hob's coil reaches.
+/// F at an amplitude of the surface field over α; constant beyond [`MAX_FIELD`], which no hob's coil reaches.
 pub(crate) fn flux_of(h: f64) -> Complex<f64> {
     let (first, x) = place(h);
     weighted(first, lagrange(NODES, x))
@@ -27,7 +27,7 @@ pub(crate) fn flux_of(h: f64) -> Complex<f64> {
 
 /// Slope of F over ln of the amplitude.
 pub(crate) fn flux_slope_of(h: f64) -> Complex<f64> {
-    if !(0.0..LARGEST_FIELD).contains(&h) {
+    if !(0.0..MAX_FIELD).contains(&h) {
         return Complex::new(0.0, 0.0);
     }
     let (first, x) = place(h);
@@ -38,7 +38,7 @@ const NODES: [f64; 4] = [0.0, 1.0, 2.0, 3.0];
 
 /// Points of the table per unit of ln(1 + h).
 fn scale() -> f64 {
-    (POINTS - 1) as f64 / (1.0 + LARGEST_FIELD).ln()
+    (POINTS - 1) as f64 / (1.0 + MAX_FIELD).ln()
 }
 
 /// Index of the first of four points around an amplitude, and the distance from it in points.
@@ -94,6 +94,6 @@ mod tests {
                 "{h}: {table} {exact}"
             );
         }
-        assert_eq!(flux_of(1e9), flux_of(LARGEST_FIELD));
+        assert_eq!(flux_of(1e9), flux_of(MAX_FIELD));
     }
 }

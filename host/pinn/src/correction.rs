@@ -19,7 +19,7 @@ const WIDTHS: [f64; 9] = [1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1];
 const GROWTH: f64 = 1.5;
 
 /// Least log evidence of a correction over none.
-const LEAST_EVIDENCE: f64 = 1.0;
+const MIN_EVIDENCE: f64 = 1.0;
 
 /// Splines on R and L, in the network's units.
 pub(crate) struct Correction {
@@ -61,7 +61,7 @@ impl Correction {
         };
         let all = WIDTHS.into_iter().filter_map(evidence);
         let (most, factor) = all.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        (most > LEAST_EVIDENCE).then(|| Self {
+        (most > MIN_EVIDENCE).then(|| Self {
             spline: problem.spline.clone(),
             coefficients: factor.solve(&right),
             covariance: factor.inverse(),

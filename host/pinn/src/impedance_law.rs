@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use crate::harmonic_branch::{HarmonicBasis, Phasors};
 
 /// Largest order: a pure inductance would be 1, which is not separable from L_0.
-pub(crate) const LARGEST_ORDER: f64 = 0.9;
+pub(crate) const MAX_ORDER: f64 = 0.9;
 
 /// Exponent n of the load's impedance, Z(s) = s L_0 + K s^n.
 // Read as a value, not as `untagged`: that finds no float where anything in the build switches serde_json's
@@ -105,11 +105,11 @@ impl HarmonicLaw {
     }
 }
 
-/// Order in 0..=[`LARGEST_ORDER`] with the least `misfit`, by golden section, which finds one of several
+/// Order in 0..=[`MAX_ORDER`] with the least `misfit`, by golden section, which finds one of several
 /// minima.
 pub(crate) fn least(misfit: impl Fn(f64) -> f64) -> f64 {
     let golden = 0.5 * (5.0_f64.sqrt() - 1.0);
-    let (mut from, mut to) = (0.0, LARGEST_ORDER);
+    let (mut from, mut to) = (0.0, MAX_ORDER);
     let (mut left, mut right) = (to - golden * to, golden * to);
     let (mut at_left, mut at_right) = (misfit(left), misfit(right));
     // 0.618^20 of the interval: the order to four digits.
@@ -189,6 +189,6 @@ mod tests {
     #[test]
     fn the_least_misfit_is_found() {
         assert!((least(|n| (n - 0.37).powi(2)) - 0.37).abs() < 1e-4);
-        assert!(least(|n| n) < 1e-3 && least(|n| -n) > LARGEST_ORDER - 1e-3);
+        assert!(least(|n| n) < 1e-3 && least(|n| -n) > MAX_ORDER - 1e-3);
     }
 }

@@ -25,13 +25,13 @@ const FRAME_PERIODS: f64 = 2.0;
 const MOVES_HZ: f64 = 60.0;
 
 /// Share of the energy beyond [`MOVES_HZ`] above which the carrier counts as moving.
-const MOST_OFTEN: f64 = 0.2;
+const MAX_OFTEN: f64 = 0.2;
 
 /// Largest deviation in hertz that a step of the load shows for some periods.
 const MOVES_FAR_HZ: f64 = 250.0;
 
 /// Share of the energy beyond [`MOVES_FAR_HZ`] above which the carrier moves: a third of a millisecond per half-cycle.
-const MOST_RARELY: f64 = 0.04;
+const MAX_RARELY: f64 = 0.04;
 
 /// Share of the largest power above which a value is the carrier's frequency and not noise.
 const MIN_POWER_SHARE: f64 = 0.05;
@@ -169,7 +169,7 @@ impl Carrier {
             let beyond: f64 = off.iter().filter(|o| o.0 > hz).map(|o| o.1).sum();
             beyond / off.iter().map(|o| o.1).sum::<f64>()
         };
-        share_beyond(MOVES_HZ) > MOST_OFTEN || share_beyond(MOVES_FAR_HZ) > MOST_RARELY
+        share_beyond(MOVES_HZ) > MAX_OFTEN || share_beyond(MOVES_FAR_HZ) > MAX_RARELY
     }
 
     /// Returns mean, deviation and rate of the motion.

@@ -13,7 +13,7 @@ use super::vectorised::{dot, vectorised};
 use super::{RawSamples, Samples, Segment, fourier};
 
 /// Most switching periods of a frame: three eighths of the lobes of sin⁶ between aliases at thirds of f_sw (61/3).
-const MOST_PERIODS: f64 = 96.0;
+const MAX_PERIODS: f64 = 96.0;
 
 /// Fewest switching periods of a frame, used for short segments.
 const LEAST_PERIODS: f64 = 12.0;
@@ -22,7 +22,7 @@ const LEAST_PERIODS: f64 = 12.0;
 const WANTED_FRAMES: f64 = 6.0;
 
 /// Most frames that are evaluated.
-const MOST_FRAMES: usize = 32;
+const MAX_FRAMES: usize = 32;
 
 /// Fewest samples per period after decimation by a low-pass.
 const KEPT_PER_PERIOD: f64 = 64.0;
@@ -195,7 +195,7 @@ impl Frames {
         }
         let block = ((samples_per_period / KEPT_PER_PERIOD) as usize).max(1);
         let per_period = samples_per_period / block as f64;
-        let ideal = (periods / WANTED_FRAMES).clamp(LEAST_PERIODS + 1.0, MOST_PERIODS) * per_period;
+        let ideal = (periods / WANTED_FRAMES).clamp(LEAST_PERIODS + 1.0, MAX_PERIODS) * per_period;
         // A transform over a multiple of 16 points is fast.
         let points = ((ideal / 16.0).ceil() as usize * 16).min((samples / block).saturating_sub(3));
         if (points as f64) < LEAST_PERIODS * per_period {
@@ -203,7 +203,7 @@ impl Frames {
         }
         // The low-pass reaches three blocks beyond the last.
         let frame = block * (points + 3);
-        let count = (samples / frame).min(MOST_FRAMES);
+        let count = (samples / frame).min(MAX_FRAMES);
         Some(Self {
             block,
             points,

@@ -3,13 +3,13 @@
 use std::time::{Duration, Instant};
 
 /// Wall time of lag beyond which it is dropped rather than caught up with.
-const LARGEST_LAG: Duration = Duration::from_millis(500);
+const MAX_LAG: Duration = Duration::from_millis(500);
 
 /// Period of reporting a lag.
 const REPORT_PERIOD: Duration = Duration::from_secs(60);
 
 /// Share of the time below which a lag is not reported.
-const LEAST_REPORTED: f64 = 0.01;
+const MIN_REPORTED: f64 = 0.01;
 
 /// Target of simulated time.
 #[derive(Clone, Debug)]
@@ -37,7 +37,7 @@ impl Pace {
     pub fn due_s(&mut self, t_s: f64, now: Instant) -> f64 {
         let due_s = self.at_s(now);
         let lag_s = (due_s - t_s) / self.speed;
-        if lag_s <= LARGEST_LAG.as_secs_f64() {
+        if lag_s <= MAX_LAG.as_secs_f64() {
             return due_s;
         }
         self.given_up += Duration::from_secs_f64(lag_s);
@@ -64,7 +64,7 @@ impl Pace {
         }
         let share = self.given_up.as_secs_f64() / passed.as_secs_f64();
         (self.told, self.given_up) = (now, Duration::ZERO);
-        (share >= LEAST_REPORTED).then_some(share.min(1.0))
+        (share >= MIN_REPORTED).then_some(share.min(1.0))
     }
 }
 

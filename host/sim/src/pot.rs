@@ -45,7 +45,7 @@ const DIAMETERS_CM: RangeInclusive<f64> = 4.0..=28.0;
 
 /// Smallest distance of the rim of an off-centre pot from the coil's axis, in metre; a nearer rim is set to it. At 8 mm beyond the
 /// coil's inner radius, above 2 of its 23 turns, it is as good as no pot.
-const LEAST_RIM_M: f64 = 20e-3;
+const MIN_RIM_M: f64 = 20e-3;
 
 /// Allowed offset of any pot as a share of its diameter: its rim stays outside the coil's axis.
 const ALLOWED_OFFSET: f64 = 0.4;
@@ -57,7 +57,7 @@ const WIDE_OFFSET_M: f64 = 60e-3;
 const CURIE_RISE_K: f64 = 660.0;
 
 /// Smallest remaining share of the saturation: a law that saturates at zero has no skin.
-const LEAST_SATURATION: f64 = 0.02;
+const MIN_SATURATION: f64 = 0.02;
 
 /// Base of a pot by its metals, or what a household has in its place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -196,7 +196,7 @@ impl SimulatedPot {
                         self.offset_m * libm::sin(angle),
                         self.offset_m * libm::cos(angle),
                     );
-                    (c + (radius_m * radius_m - s * s).sqrt()).max(LEAST_RIM_M)
+                    (c + (radius_m * radius_m - s * s).sqrt()).max(MIN_RIM_M)
                 })
                 .collect()
         };
@@ -231,7 +231,7 @@ impl SimulatedPot {
             (weight, settings)
         };
         let seen = radii.into_iter().map(|radius| (covered * weight, radius));
-        let rest = (covered < 1.0).then_some((1.0 - covered, LEAST_RIM_M));
+        let rest = (covered < 1.0).then_some((1.0 - covered, MIN_RIM_M));
         Ok(seen.chain(rest).map(of_radius).collect())
     }
 
@@ -366,7 +366,7 @@ impl PotBase {
             Self::Stainless | Self::Aluminium | Self::Foil | Self::Lid | Self::Ring => 1.0,
             Self::Ferritic | Self::CastIron | Self::Clad | Self::Spoon => {
                 let x = (temperature_c - 20.0).max(0.0) / CURIE_RISE_K;
-                (1.0 - x * x).max(LEAST_SATURATION)
+                (1.0 - x * x).max(MIN_SATURATION)
             }
         }
     }

@@ -140,7 +140,7 @@ pub(crate) fn certainty(
 const KEPT_PAST: i64 = 300;
 
 /// Most lookups of a device that are listed: those that are kept, the active one and the pending one.
-const MOST_LISTED: i64 = KEPT_PAST + 2;
+const MAX_LISTED: i64 = KEPT_PAST + 2;
 
 /// Deletes all past lookups of each device but the newest.
 pub(crate) const DROP_PAST: (&str, i64) = (
@@ -317,7 +317,7 @@ impl Store {
         );
         let read = || -> rusqlite::Result<Vec<LookupRow>> {
             let mut statement = self.records().prepare(&sql)?;
-            let rows = statement.query_map([device, MOST_LISTED], lookup_row)?;
+            let rows = statement.query_map([device, MAX_LISTED], lookup_row)?;
             rows.collect()
         };
         read().map_err(self.failed("listing lookups"))

@@ -19,7 +19,7 @@ use ihd_signal::fourier::sinc;
 const BOXCAR_S: f64 = 0.2e-3;
 
 /// Highest order that is considered, however low the frequency.
-const MOST_ORDERS: u32 = 10_000;
+const MAX_ORDERS: u32 = 10_000;
 
 /// Expected effect of aliasing.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -45,7 +45,7 @@ pub fn expected(track: &Track, dt_s: f64, z: Load) -> Option<Aliasing> {
     let edge = edge_strength(track, v1);
     let t_e_s = f64::from(EDGE_NS) * 1e-9;
     // Orders beyond the sixth null of an edge's spectrum do not matter: at 250 samples per period harmonic 249 still costs .2 % of R.
-    let last = ((6.0 / (track.f_sw_hz * t_e_s)) as u32).min(MOST_ORDERS);
+    let last = ((6.0 / (track.f_sw_hz * t_e_s)) as u32).min(MAX_ORDERS);
     let (mut power, mut first) = (0.0, None);
     for h in (3..=last).step_by(2).filter(|&h| f64::from(h) > 0.5 * n) {
         let m = |shift: f64| {

@@ -7,7 +7,7 @@ use ihd_signal::Capture;
 use ihd_signal::carrier::{Carrier, Sweep};
 use nalgebra::Complex;
 
-use super::lines::{HOPS_PER_FRAME, LARGEST_HZ, LEAST_HZ, Lines};
+use super::lines::{HOPS_PER_FRAME, Lines, MAX_HZ, MIN_HZ};
 use super::time::Run;
 use super::track;
 
@@ -55,7 +55,7 @@ pub struct CarrierPieces {
 
 /// Range of frequencies to search, in hertz, around a frequency that was given.
 pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
-    hint_hz.map_or((LEAST_HZ, LARGEST_HZ), |f| {
+    hint_hz.map_or((MIN_HZ, MAX_HZ), |f| {
         (f * (1.0 - HINT_WIDTH), f * (1.0 + HINT_WIDTH))
     })
 }

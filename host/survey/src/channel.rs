@@ -14,7 +14,7 @@ const OFFSET_PCT: f64 = 1.0;
 
 /// Largest voltage of a hob's coil; a larger one means a wrong probe factor. A half-bridge on 230 V gives 330 V, a
 /// quasi-resonant hob up to 1.2 kV, which its switch would not survive by much.
-const LARGEST_V: f64 = 2e3;
+const MAX_V: f64 = 2e3;
 
 /// Largest current of a hob's coil; a larger one means a wrong probe factor. 3.7 kW at 230 V take 80 A at the crest.
 const LARGEST_A: f64 = 300.0;
@@ -164,7 +164,7 @@ fn report(
         });
     }
     let most = match which {
-        Channel::Voltage => LARGEST_V,
+        Channel::Voltage => MAX_V,
         Channel::Current => LARGEST_A,
     };
     let peak = c.max.abs().max(c.min.abs());

@@ -27,7 +27,7 @@ const TAILS_BELOW_DB: f64 = 20.0;
 
 /// Fewest samples of a switching period with which clipping is judged and restored: a clipped crest has more than one sample at the
 /// end of the range, and most of a current's 31 harmonics do not fold onto one another.
-pub const LEAST_PER_PERIOD: f64 = 16.0;
+pub const MIN_PER_PERIOD: f64 = 16.0;
 
 /// Share of clipped samples followed by another one, above which the signal itself clips: the probability that noise reaches an end
 /// that is 1.3 deviations away.
@@ -56,7 +56,7 @@ impl ClippedSamples {
     /// the signal's crest is 1.3 deviations below the end, and n of N samples lose 2 n/N · 0.47 σ of the amplitude. `snr_db` is the
     /// channel's, `per_period` the samples of a switching period.
     pub fn are_tails_of_noise(&self, x: &[f32], snr_db: f64, per_period: f64) -> bool {
-        if self.samples == 0 || snr_db > TAILS_BELOW_DB || per_period < LEAST_PER_PERIOD {
+        if self.samples == 0 || snr_db > TAILS_BELOW_DB || per_period < MIN_PER_PERIOD {
             return false;
         }
         let at_end = |x: f32| f64::from(x.abs()) >= FULL_SCALE * self.level;

@@ -11,13 +11,13 @@ use super::time::Run;
 use super::track;
 
 /// Smallest switching frequency of the search, in hertz.
-pub const LEAST_HZ: f64 = 15e3;
+pub const MIN_HZ: f64 = 15e3;
 
 /// Largest switching frequency of the search, in hertz.
-pub const LARGEST_HZ: f64 = 150e3;
+pub const MAX_HZ: f64 = 150e3;
 
 /// Sampling rate in hertz to which samples are averaged for the search: four times the largest frequency.
-const SEARCH_RATE_HZ: f64 = 4.0 * LARGEST_HZ;
+const SEARCH_RATE_HZ: f64 = 4.0 * MAX_HZ;
 
 /// Length of a spectrum's frame in seconds: resolves 1.25 kHz and follows the mains' envelope.
 const FRAME_S: f64 = 0.8e-3;
@@ -165,7 +165,7 @@ impl Spectrum {
             output: fft.make_output_vec(),
             power: vec![0.0; n / 2 + 1],
             bins: bin(from_hz)..bin(to_hz) + 1,
-            all: bin(LEAST_HZ)..bin(LARGEST_HZ) + 1,
+            all: bin(MIN_HZ)..bin(MAX_HZ) + 1,
             hz_per_bin,
             fft,
         }
@@ -238,7 +238,7 @@ mod tests {
         let x: Vec<f64> = (0..480)
             .map(|k| (TAU * f * dt_s * f64::from(k)).cos())
             .collect();
-        let mut spectrum = Spectrum::new(480, dt_s, (LEAST_HZ, LARGEST_HZ));
+        let mut spectrum = Spectrum::new(480, dt_s, (MIN_HZ, MAX_HZ));
         let line = spectrum.line([(x.as_slice(), 0.5)].into_iter());
         assert!((line.f_hz - f).abs() < 10.0, "{}", line.f_hz);
         assert!(line.contrast > 1e6);

@@ -46,14 +46,14 @@ impl Mains {
         let half_s = 0.5 / self.hz;
         let first = ((from_s - self.zero_crossing_s) / half_s).ceil();
         let count = ((to_s - self.zero_crossing_s) / half_s - first).floor() + 1.0;
-        (0..(count.max(0.0) as usize).min(MOST_CROSSINGS))
+        (0..(count.max(0.0) as usize).min(MAX_CROSSINGS))
             .map(|k| self.zero_crossing_s + (first + k as f64) * half_s)
             .collect()
     }
 }
 
 /// Most zero crossings of a list: three hours.
-const MOST_CROSSINGS: usize = 1_000_000;
+const MAX_CROSSINGS: usize = 1_000_000;
 
 /// Envelope of one piece: times in seconds and amplitudes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -77,19 +77,19 @@ const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
 const PAUSED_REACH_HZ: f64 = 1.0;
 
 /// Least share of the time that pieces cover for the search at any frequency.
-const LEAST_COVERED: f64 = 0.8;
+const MIN_COVERED: f64 = 0.8;
 
 /// Half-cycles of 50 Hz from which any frequency is possible.
 const FREE_HALF_CYCLES: f64 = 1.5;
 
 /// Half-cycles of 50 Hz below which nothing can be found.
-const LEAST_HALF_CYCLES: f64 = 0.4;
+const MIN_HALF_CYCLES: f64 = 0.4;
 
 /// Depth of modulation below which the bus counts as constant.
-const LEAST_MODULATION: f64 = 0.3;
+const MIN_MODULATION: f64 = 0.3;
 
 /// Share of the envelope's variance that the model must explain.
-const LEAST_EXPLAINED: f64 = 0.8;
+const MIN_EXPLAINED: f64 = 0.8;
 
 /// Difference of frequency in hertz that is reported: more than that of any grid.
 const DIFFERS_HZ: f64 = 1.0;
@@ -101,14 +101,14 @@ const MAX_UNEXPLAINED_RATIO: f64 = 0.5;
 const MAX_UNEXPLAINED_SHARE: f64 = 1e-3;
 
 /// Most doublings of the view during the search: 60 ms to 30 000 years.
-const MOST_VIEWS: u32 = 64;
+const MAX_VIEWS: u32 = 64;
 
 /// Spacing of the envelope's points that are used, in seconds.
 const SPACING_S: f64 = 0.15e-3;
 
 /// Most moves of one pattern search, so that rounding cannot keep it going. The captures of this crate's tests take 23 at
 /// most.
-const MOST_MOVES: usize = 300;
+const MAX_MOVES: usize = 300;
 
 /// Initial view of the search in seconds, which is doubled.
 const FIRST_LOOK_S: f64 = 60e-3;
@@ -127,8 +127,8 @@ pub fn find(
     let half_cycles = coverage.seen_s * 2.0 * NOMINAL_HZ[0];
     let specified_hz = specified_hz.filter(|f| f.is_finite() && *f > 0.0);
     let specified_crossing_s = specified_crossing_s.filter(|t| t.is_finite());
-    let seen = half_cycles >= LEAST_HALF_CYCLES
-        && modulation >= LEAST_MODULATION
+    let seen = half_cycles >= MIN_HALF_CYCLES
+        && modulation >= MIN_MODULATION
         && specified_hz.is_none_or(|hz| (SPECIFIED_HZ.0..=SPECIFIED_HZ.1).contains(&hz));
     let search = match half_cycles >= FREE_HALF_CYCLES {
         _ if coverage.is_paused => Search::NearNominal,
@@ -252,7 +252,7 @@ fn extent(envelopes: &[PieceEnvelope]) -> (Coverage, f64) {
     let lasts_s = |e: &PieceEnvelope| e.t_s.last().zip(e.t_s.first()).map_or(0.0, |(b, a)| b - a);
     let covered_s: f64 = envelopes.iter().map(lasts_s).sum();
     let longest_s = envelopes.iter().map(lasts_s).fold(0.0, f64::max);
-    let is_paused = longest_s < FIRST_LOOK_S && covered_s < LEAST_COVERED * span_s;
+    let is_paused = longest_s < FIRST_LOOK_S && covered_s < MIN_COVERED * span_s;
     let coverage = Coverage {
         is_paused,
         seen_s: if is_paused { longest_s } else { span_s },
@@ -353,7 +353,7 @@ fn fit(envelopes: &[PieceEnvelope], search: Search) -> Option<Fit> {
         let mut best = fits.min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))?;
         let range_hz = search.range_hz(best.hz);
         let mut look_s = first_look_s;
-        for _ in 0..MOST_VIEWS {
+        for _ in 0..MAX_VIEWS {
             best = refined(envelopes, start_s..start_s + look_s, best, &range_hz, law);
             // Not `start_s + look_s >= end_s`, which may never hold after rounding.
             if look_s >= end_s - start_s {
@@ -367,7 +367,7 @@ fn fit(envelopes: &[PieceEnvelope], search: Search) -> Option<Fit> {
     let best = all
         .filter_map(from)
         .min_by(|a, b| a.unexplained.total_cmp(&b.unexplained))?;
-    (best.unexplained < 1.0 - LEAST_EXPLAINED).then_some(best)
+    (best.unexplained < 1.0 - MIN_EXPLAINED).then_some(best)
 }
 
 /// Pattern search in frequency and crossing over a view in seconds.
@@ -392,7 +392,7 @@ fn refined(
     let mut step = (if free { 0.1 / look_s } else { 0.0 }, half_s / 24.0);
     // Down to a microsecond of the crossing.
     let mut moves = 0;
-    while step.1 > 1e-6 && moves < MOST_MOVES {
+    while step.1 > 1e-6 && moves < MAX_MOVES {
         let mut moved = false;
         for (df, dt) in [(step.0, 0.0), (-step.0, 0.0), (0.0, step.1), (0.0, -step.1)] {
             let (hz, t0_s) = (best.hz + df, best.t0_s + dt);

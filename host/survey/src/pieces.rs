@@ -7,7 +7,7 @@ use super::Hints;
 use super::carrier::{self, CarrierPiece};
 use super::error::SurveyError;
 use super::finding::Finding;
-use super::lines::LARGEST_HZ;
+use super::lines::MAX_HZ;
 use super::time::Run;
 use super::track::{self, Track};
 
@@ -31,7 +31,7 @@ pub(super) fn find(
     let longest = runs
         .iter()
         .max_by(|a, b| a.duration_s().total_cmp(&b.duration_s()));
-    let needed_s = MIN_PERIODS / hints.f_sw_hz.unwrap_or(LARGEST_HZ);
+    let needed_s = MIN_PERIODS / hints.f_sw_hz.unwrap_or(MAX_HZ);
     let Some(longest) = longest.filter(|r| r.duration_s() >= needed_s) else {
         return Err(SurveyError::TooShort {
             name: capture.name.clone(),

@@ -13,10 +13,10 @@ pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
 /// Least switching periods per frame, and the largest number of them.
 const LEAST_PERIODS: f64 = 3.0;
-const MOST_PERIODS: f64 = 30.0;
+const MAX_PERIODS: f64 = 30.0;
 
 /// Most that a load turns the phase over a piece, in radian: less than that from full to no saturation.
-const MOST_TURN: f64 = 1.0;
+const MAX_TURN: f64 = 1.0;
 
 /// Phasors at the middles of frames: x(t) = Σ Re(X_h e^{jhω(t − t0)}), amplitudes, with `t0` the time of the first sample.
 #[derive(Clone, Debug, PartialEq)]
@@ -85,7 +85,7 @@ fn samples_per_frame(per_period: f64) -> usize {
     let least = if per_period > 2.0 {
         (2.0 / (per_period - 2.0))
             .ceil()
-            .clamp(LEAST_PERIODS, MOST_PERIODS)
+            .clamp(LEAST_PERIODS, MAX_PERIODS)
     } else {
         LEAST_PERIODS
     };
@@ -243,7 +243,7 @@ impl Track {
         normal[(2, 2)] += ridge;
         normal[(3, 3)] += ridge;
         let turn = normal.cholesky().map_or(0.0, |c| c.solve(&right)[1]);
-        if turn.abs() > MOST_TURN {
+        if turn.abs() > MAX_TURN {
             return coarse;
         }
         coarse + turn / (TAU * span_s)

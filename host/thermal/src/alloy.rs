@@ -11,7 +11,7 @@ use crate::placement::PlacedPot;
 const MAX_POTS: usize = 16;
 
 /// Boils of a pot that are remembered.
-const MOST_BOILS: usize = 5;
+const MAX_BOILS: usize = 5;
 
 /// Rise in kelvin at which water boils that was put on at 20 °C.
 const BOIL_K: f64 = 80.0;
@@ -60,7 +60,7 @@ struct KnownAlloy {
 impl KnownAlloy {
     fn is_sound(&self) -> bool {
         let all = self.numbers.iter().chain(&self.effects);
-        (1..=MOST_BOILS).contains(&self.effects.len()) && all.into_iter().all(|x| x.is_finite())
+        (1..=MAX_BOILS).contains(&self.effects.len()) && all.into_iter().all(|x| x.is_finite())
     }
 
     fn is_of(&self, placed: &PlacedPot) -> bool {
@@ -119,7 +119,7 @@ impl KnownAlloys {
             },
             |at| self.0.remove(at),
         );
-        if known.effects.len() == MOST_BOILS {
+        if known.effects.len() == MAX_BOILS {
             known.effects.remove(0);
         }
         known.effects.push(effect);

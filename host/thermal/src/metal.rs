@@ -20,7 +20,7 @@ pub struct MetalLaw {
 }
 
 /// Largest deviation in kelvin: where the slope is zero, both sides of the turn are this far apart.
-const MOST_SIGMA_K: f64 = 60.0;
+const MAX_SIGMA_K: f64 = 60.0;
 
 impl MetalLaw {
     /// Ferritic stainless steel (1.4016: 0.60 µΩm at 20 °C, 0.66 at 100 °C in data sheets of mills; Curie point 680 °C).
@@ -77,7 +77,7 @@ impl MetalLaw {
     /// the same R and L belong to a wide range of rises.
     pub fn alloy_sigma_k(&self, rise_k: f64, spread: f64) -> f64 {
         let (change, slope) = self.ln_s_change(rise_k);
-        (spread * (change / slope).abs()).min(MOST_SIGMA_K)
+        (spread * (change / slope).abs()).min(MAX_SIGMA_K)
     }
 
     /// Rise in kelvin at which R and L stop rising and begin to fall; infinite if they never do.

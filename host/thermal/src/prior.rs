@@ -15,7 +15,7 @@ const BEYOND_K: f64 = 20.0;
 const CAPACITY_MARGIN: f64 = 1.4;
 
 /// ΔT in kelvin that no pot outlives: aluminium melts, enamel comes off.
-const MOST_K: f64 = 600.0;
+const MAX_K: f64 = 600.0;
 
 /// Uniform distribution of ΔT between two bounds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,7 +30,7 @@ impl HeatPrior {
         let kept_k = CAPACITY_MARGIN * heat_j.max(0.0) / base_j_per_k;
         Self {
             low_k: COOLS_TO_K,
-            high_k: (kept_k + BEYOND_K).min(MOST_K),
+            high_k: (kept_k + BEYOND_K).min(MAX_K),
         }
     }
 

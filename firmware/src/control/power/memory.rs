@@ -20,7 +20,7 @@ const SWELL_PERCENT: u32 = 108;
 
 /// A bus that has risen by more than this share for two half-cycles was low before: no swell, which the mains may have again. For one, it
 /// was charged by a coil whose pot was lifted.
-const MOST_SWELL_PERCENT: u32 = 125;
+const MAX_SWELL_PERCENT: u32 = 125;
 
 /// A frequency that must not be gone below, in hertz, and why.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -93,7 +93,7 @@ impl OperatingMemory {
         let is_near = |of_dv: u16| !is_sag(bus_dv, of_dv);
         if is_above(SWELL_PERCENT, self.bus_dv) {
             (self.before_swell_dv, self.swell_since_ms) = (self.bus_dv, now_ms);
-        } else if is_above(MOST_SWELL_PERCENT, self.before_swell_dv) {
+        } else if is_above(MAX_SWELL_PERCENT, self.before_swell_dv) {
             self.before_swell_dv = 0;
         }
         let near = is_near(self.bus_dv);

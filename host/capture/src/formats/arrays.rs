@@ -314,14 +314,14 @@ impl<A: Arrays> CaptureFile for ArraySource<A> {
 const RESERVED: usize = 1 << 16;
 
 /// Largest accepted compression ratio of arrays above [`ANY_RATIO_BELOW_BYTES`]: samples with noise reach 20, deflate's limit is 1032.
-const LARGEST_RATIO: u64 = 256;
+const MAX_RATIO: u64 = 256;
 
 /// Size in bytes below which any compression ratio is accepted.
 const ANY_RATIO_BELOW_BYTES: u64 = 1 << 24;
 
 /// Returns `true` if `packed` bytes can plausibly unpack to `unpacked` bytes; this bounds memory.
 pub fn plausible(packed: u64, unpacked: u64) -> bool {
-    unpacked <= ANY_RATIO_BELOW_BYTES || unpacked / LARGEST_RATIO <= packed
+    unpacked <= ANY_RATIO_BELOW_BYTES || unpacked / MAX_RATIO <= packed
 }
 
 #[cfg(test)]

@@ -25,7 +25,7 @@ const MX_NUMBERS: std::ops::RangeInclusive<u8> = 6..=15;
 const LONGEST_TEXT: u32 = 256;
 
 /// Limit of arrays in a file.
-const MOST_ARRAYS: usize = 10_000;
+const MAX_ARRAYS: usize = 10_000;
 
 /// Byte order of a version 5 file with this beginning; `None` for other files.
 pub fn endian(head: &[u8]) -> Option<Endian> {
@@ -60,7 +60,7 @@ pub fn open(mut input: Input) -> Result<ArraySource<MatArrays>, FormatError> {
     let endian = endian(&header).ok_or_else(|| FormatError::at_byte(124, "no MAT version 5"))?;
     let mut arrays = Vec::new();
     let mut elements = Vec::new();
-    while input.remaining() > 0 && arrays.len() < MOST_ARRAYS {
+    while input.remaining() > 0 && arrays.len() < MAX_ARRAYS {
         let at = input.offset();
         let kind = input.number(SampleType::U32, endian)? as u32;
         let bytes = input.number(SampleType::U32, endian)? as u64;

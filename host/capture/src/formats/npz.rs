@@ -19,7 +19,7 @@ const MAGIC: &[u8; 6] = b"\x93NUMPY";
 const LONGEST_HEADER: usize = 4096;
 
 /// Limit of arrays in a file.
-const MOST_ARRAYS: usize = 10_000;
+const MAX_ARRAYS: usize = 10_000;
 
 /// Ending of an array's name in the archive.
 const ENDING: &str = ".npy";
@@ -75,8 +75,8 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<NpzSource, FormatError> {
     let source: Box<dyn ReadSeek> = Box::new(source);
     let mut archive = ZipArchive::new(source)
         .map_err(|e| in_archive(0, "no ZIP archive, or its end is cut off", &e))?;
-    if archive.len() > MOST_ARRAYS {
-        let what = format!("{} arrays; {MOST_ARRAYS} are the most", archive.len());
+    if archive.len() > MAX_ARRAYS {
+        let what = format!("{} arrays; {MAX_ARRAYS} are the most", archive.len());
         return Err(FormatError::at_byte(0, what));
     }
     let mut arrays = Vec::new();

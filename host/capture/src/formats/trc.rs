@@ -20,7 +20,7 @@ const DESCRIPTOR: &[u8] = b"WAVEDESC";
 const MAX_LEAD_BYTES: usize = 64;
 
 /// Smallest size of a descriptor, in bytes.
-const LEAST_DESCRIPTOR: u64 = 346;
+const MIN_DESCRIPTOR: u64 = 346;
 
 /// Offsets of the descriptor's fields.
 mod field {
@@ -109,7 +109,7 @@ impl TrcSource {
         let begin = descriptor(&head).map(|k| k as u64);
         let begin = begin.ok_or_else(|| FormatError::at_byte(0, "no WAVEDESC"))?;
         input.seek(begin)?;
-        input.need(LEAST_DESCRIPTOR)?;
+        input.need(MIN_DESCRIPTOR)?;
         input.seek(begin + field::COMM_ORDER)?;
         let endian = match input.array::<2>()? {
             [1, 0] => Endian::Little,

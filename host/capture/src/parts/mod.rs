@@ -20,7 +20,7 @@ use crate::options::OpenOptions;
 pub const PART_PAIRS: usize = 1 << 21;
 
 /// Least duration of a part in seconds: two half-cycles of a mains of 45 Hz and some. It counts at more than 84 MS/s.
-const LEAST_S: f64 = 25e-3;
+const MIN_S: f64 = 25e-3;
 
 /// Most pairs of a part, whatever its duration.
 const MOST_PAIRS: usize = 1 << 24;
@@ -169,7 +169,7 @@ fn lasting(held: &Capture, pairs: usize) -> usize {
         (Some(first), Some(second)) => second - first,
         _ => return pairs,
     };
-    let least = LEAST_S / dt_s;
+    let least = MIN_S / dt_s;
     if least.is_finite() && least > pairs as f64 {
         (least as usize).min(MOST_PAIRS).max(pairs)
     } else {

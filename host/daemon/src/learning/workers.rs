@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use ihd_model::FleetAnswers;
 
 /// Most workers in the records; beyond it, the one with the fewest refuted answers and the oldest last answer is removed.
-const MOST_WORKERS: usize = 256;
+const MAX_WORKERS: usize = 256;
 
 /// Refuted answers of a worker after which all its answers are ignored until the daemon restarts.
-const MOST_REFUTED: u64 = 3;
+const MAX_REFUTED: u64 = 3;
 
 /// Verdict on a worker's answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -47,7 +47,7 @@ pub struct WorkerFigures {
 impl WorkerFigures {
     /// Returns `true` if so many of its answers were refuted that the rest are ignored.
     pub fn is_distrusted(&self) -> bool {
-        self.refuted >= MOST_REFUTED
+        self.refuted >= MAX_REFUTED
     }
 }
 
@@ -80,7 +80,7 @@ impl WorkerRecords {
     /// Records an answer; returns `true` if its worker is distrusted from now on.
     pub fn record(&mut self, worker: &str, verdict: AnswerVerdict) -> bool {
         self.count += 1;
-        if !self.workers.contains_key(worker) && self.workers.len() >= MOST_WORKERS {
+        if !self.workers.contains_key(worker) && self.workers.len() >= MAX_WORKERS {
             self.forget_one();
         }
         let figures = self.workers.entry(worker.to_owned()).or_default();
@@ -93,7 +93,7 @@ impl WorkerRecords {
             AnswerVerdict::Refuted(why) => {
                 figures.refuted += 1;
                 figures.why = why;
-                return figures.refuted == MOST_REFUTED;
+                return figures.refuted == MAX_REFUTED;
             }
         }
         false
@@ -148,6 +148,6 @@ mod tests {
             records.record(&format!("w{k}"), AnswerVerdict::Confirmed);
         }
         assert!(records.is_distrusted("liar"));
-        assert_eq!(records.workers().len(), MOST_WORKERS);
+        assert_eq!(records.workers().len(), MAX_WORKERS);
     }
 }

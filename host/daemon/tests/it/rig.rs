@@ -20,7 +20,7 @@ use tokio::task::JoinHandle;
 pub const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Largest lag behind real time that is caught up with, in seconds.
-const LARGEST_LAG_S: f64 = 0.05;
+const MAX_LAG_S: f64 = 0.05;
 
 /// Clock of the daemon, which stands still between two calls of [`Clock::pass`]. The hobs' clocks go on.
 pub struct Clock {
@@ -120,7 +120,7 @@ impl Bench {
             last = Instant::now();
             {
                 let mut hob = self.hob();
-                due_s = due_s.min(hob.t_s() + LARGEST_LAG_S);
+                due_s = due_s.min(hob.t_s() + MAX_LAG_S);
                 if due_s < hob.t_s() - 1.0 {
                     due_s = hob.t_s();
                 }

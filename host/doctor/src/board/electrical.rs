@@ -18,7 +18,7 @@ pub(crate) const OFFSET_CODES: f64 = 12.0;
 const NOISE_CODES: f64 = 4.0;
 
 /// Lower limit of the noise in codes rms: below it the channel does not convert.
-const LEAST_NOISE_CODES: f64 = 0.05;
+const MIN_NOISE_CODES: f64 = 0.05;
 
 /// Nominal frequency of the low-speed oscillator in hertz, and the limit in percent for the main clock's count in its periods
 /// (docs/board.md: both oscillators over temperature and supply, with some margin).
@@ -156,7 +156,7 @@ pub(crate) fn bus_volt(c: &Channels, scales: &FrontEnd) -> f64 {
 fn noise(c: &Channels) -> Check {
     let of = |name, rms: u32| {
         let codes = f64::from(rms) / CODE_SCALE;
-        Measurement::between(name, codes, "codes rms", LEAST_NOISE_CODES, NOISE_CODES)
+        Measurement::between(name, codes, "codes rms", MIN_NOISE_CODES, NOISE_CODES)
     };
     let evidence = vec![of("coil voltage", c.v_rms), of("coil current", c.i_rms)];
     let texts: Vec<_> = evidence.iter().map(Measurement::text).collect();

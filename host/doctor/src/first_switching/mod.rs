@@ -27,7 +27,7 @@ pub const BUS_V: (f64, f64) = (25.0, 60.0);
 const MEASURED_TO_V: f64 = 0.6;
 
 /// Bus voltage at which the test ends, in volt; above the range by the crest of ripple and noise.
-const MOST_BUS_V: f64 = 66.0;
+const MAX_BUS_V: f64 = 66.0;
 
 /// Amplitude of the current at which the test ends, in ampere: at 60 V a pot takes 2.7 A, an aluminium pan 9 A.
 const MOST_A: f64 = 5.0;
@@ -192,7 +192,7 @@ impl SwitchingRecord {
                     self.bus_v = f64::from(t.bus_peak_dv) * 0.1;
                 }
                 self.i_a = self.i_a.max(f64::from(t.i_crest_ma) * 1e-3);
-                if self.bus_v > MOST_BUS_V {
+                if self.bus_v > MAX_BUS_V {
                     self.ended_by = Some(format!("the bus rose to {:.1} V", self.bus_v));
                 } else if self.i_a > MOST_A {
                     self.ended_by = Some(format!("the coil's current rose to {:.1} A", self.i_a));

@@ -24,7 +24,7 @@ const LEVEL_FROM: usize = 8;
 const LEVEL_TO: usize = 11;
 
 /// Smallest current for which an impedance is computed, in ampere: a code is 0.04 A.
-const LEAST_A: f64 = 0.05;
+const MIN_A: f64 = 0.05;
 
 /// Averaged period.
 #[derive(Clone, Debug, PartialEq)]
@@ -169,7 +169,7 @@ impl Period {
         let i_square = i_re * i_re + i_im * i_im;
         let i_a = 2.0 * i_square.sqrt() / PHASES as f64;
         let omega = TAU / self.period_s;
-        (i_a > LEAST_A).then(|| Impedance {
+        (i_a > MIN_A).then(|| Impedance {
             r_ohm: (v_re * i_re + v_im * i_im) / i_square,
             l_h: (v_im * i_re - v_re * i_im) / i_square / omega,
             i_a,

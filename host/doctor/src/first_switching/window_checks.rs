@@ -32,7 +32,7 @@ const L_UH: (f64, f64) = (2.0, 63.9);
 const LAG_DEG: (f64, f64) = (5.0, 89.9);
 
 /// Lowest resonance of the tank in kilohertz, and the required ratio of the switching frequency to it.
-const LEAST_RESONANCE_KHZ: f64 = 19.0;
+const MIN_RESONANCE_KHZ: f64 = 19.0;
 const ABOVE_RESONANCE: f64 = 1.06;
 
 /// Limit of the skew between the channels, in nanoseconds: RC of 3 % at most, 9 ns (docs/board.md), and the converters' triggers.
@@ -189,7 +189,7 @@ fn load(period: &Period, f_sw_hz: u32) -> Vec<Check> {
             "resonance",
             resonance_khz,
             "kHz",
-            LEAST_RESONANCE_KHZ,
+            MIN_RESONANCE_KHZ,
             most_khz,
         )],
         format!(

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use defmt_parser::{DisplayHint, Fragment, Parameter, ParserMode, Type, get_max_bitfield_range};
 
 /// Limit of values in one frame, nested ones included.
-const MOST_VALUES: u32 = 4096;
+const MAX_VALUES: u32 = 4096;
 
 /// Limit of the nesting depth.
 const MAX_DEPTH: u32 = 32;
@@ -140,7 +140,7 @@ impl<'a> Walk<'a> {
     fn count(&mut self, values: u64) -> Option<()> {
         let values = u32::try_from(values).ok()?;
         self.values = self.values.checked_add(values)?;
-        (self.values <= MOST_VALUES).then_some(())
+        (self.values <= MAX_VALUES).then_some(())
     }
 }
 

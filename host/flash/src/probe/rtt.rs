@@ -20,7 +20,7 @@ const BLOCK_WORDS: usize = 12;
 const READ: u32 = 40;
 
 /// Limit of a plausible ring: the size of the RAM.
-const MOST_BYTES: u32 = 64 << 10;
+const MAX_BYTES: u32 = 64 << 10;
 
 /// See [`Probes::log`]. While a chip is in reset or its program has not initialised the log, reading returns nothing. A
 /// disconnected probe or supply is an error, which [`RttSource::resume`] cures once it is back.
@@ -50,7 +50,7 @@ impl Ring {
             return None;
         }
         let lies_in_ram = buffer >= VARIABLES.start
-            && bytes <= MOST_BYTES
+            && bytes <= MAX_BYTES
             && buffer
                 .checked_add(bytes)
                 .is_some_and(|end| end <= VARIABLES.end);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 /// Most logged texts of one part; further ones are only counted.
-const MOST_TEXTS: usize = 8;
+const MAX_TEXTS: usize = 8;
 
 /// Present failures by part.
 #[derive(Debug, Default)]
@@ -24,8 +24,7 @@ impl Faults {
         let fault = self.by_part.entry(part).or_default();
         fault.times += 1;
         why.clone_into(&mut fault.last);
-        let is_new =
-            fault.logged.len() < MOST_TEXTS && !fault.logged.iter().any(|text| text == why);
+        let is_new = fault.logged.len() < MAX_TEXTS && !fault.logged.iter().any(|text| text == why);
         if is_new {
             fault.logged.push(why.to_owned());
         }
@@ -78,6 +77,6 @@ mod tests {
     fn texts_that_differ_each_time_do_not_fill_the_log() {
         let mut faults = Faults::default();
         let logged = (0..1_000).filter(|k| faults.failed("lookups", &format!("{k}")));
-        assert_eq!(logged.count(), MOST_TEXTS);
+        assert_eq!(logged.count(), MAX_TEXTS);
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use async_nats::jetstream::Context;
-use ihd_map::library::{Library, LibraryError, MOST_OF_ONE_HOB, PotEntry, Provenance};
+use ihd_map::library::{Library, LibraryError, MAX_OF_ONE_HOB, PotEntry, Provenance};
 
 use super::link::{Link, RETRY_PAUSE};
 use crate::clock::now_ms;
@@ -80,7 +80,7 @@ fn own_entries(hob: &str, bytes: &[u8]) -> Result<Library, LibraryError> {
     let sent = Library::from_bytes(bytes)?;
     let own = |entry: &&PotEntry| entry.hobs().len() == 1 && entry.hobs()[0] == hob;
     let mut library = Library::default();
-    for entry in sent.entries().iter().filter(own).take(MOST_OF_ONE_HOB) {
+    for entry in sent.entries().iter().filter(own).take(MAX_OF_ONE_HOB) {
         library.add(entry.clone())?;
     }
     Ok(library)

@@ -12,7 +12,7 @@ use tokio::time::sleep;
 use super::line::SimulatedConnection;
 use super::server::StreamEntry;
 use crate::dead_letters;
-use crate::jetstream::MOST_DELIVERIES;
+use crate::jetstream::MAX_DELIVERIES;
 use crate::names;
 use crate::stream_message::{Outgoing, PublishFailure};
 use crate::wire::{AnswerMessage, WindowMessage};
@@ -25,7 +25,7 @@ const WINDOWS_PER_POLL: usize = 8;
 
 /// Prefix of the names of workers with false answers, and the least relative error of their R.
 pub const LIAR: &str = "liar";
-const LEAST_LIE: f64 = 0.005;
+const MIN_LIE: f64 = 0.005;
 
 /// Processes windows until the daemon's life ends.
 pub async fn work(line: SimulatedConnection, seed: u64) {
@@ -78,7 +78,7 @@ async fn deal(
     if fails && rng.random_bool(0.1) {
         return line.world.note(&format!("a worker dies over {of}"));
     }
-    if i64::from(times) > MOST_DELIVERIES || fails && rng.random_bool(0.05) {
+    if i64::from(times) > MAX_DELIVERIES || fails && rng.random_bool(0.05) {
         line.world.note(&format!("{of} is given up"));
         return bury(&line, place, &message, &window);
     }
@@ -151,8 +151,8 @@ fn answer(rng: &mut ChaCha8Rng, window: &WindowMessage, seq: u32) -> (String, By
     let shows = window.window.pairs.len() > 61;
     let lies = rng.random_bool(0.4);
     let lie = match rng.random_bool(0.5) {
-        true => rng.random_range(LEAST_LIE..1.0),
-        false => -rng.random_range(LEAST_LIE..0.5),
+        true => rng.random_range(MIN_LIE..1.0),
+        false => -rng.random_range(MIN_LIE..0.5),
     };
     let stated = |factor: f64| {
         let t_s: Vec<f64> = (0..64).map(|k| 10e-3 / 63.0 * f64::from(k)).collect();

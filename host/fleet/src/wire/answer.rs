@@ -16,7 +16,7 @@ use super::{MessageError, VERSION, check_hob, check_version};
 const LONGEST_TEXT: usize = 2_000;
 
 /// Most remarks and most steps.
-const MOST_ENTRIES: usize = 1_024;
+const MAX_ENTRIES: usize = 1_024;
 
 /// Longest plausible work on a window in milliseconds; the slowest network takes minutes.
 const LONGEST_BUSY_MS: u32 = 3_600_000;
@@ -187,8 +187,8 @@ impl Load {
             of_times("r_sigma_ohm", &self.r_sigma_ohm, true)?,
             of_times("l_sigma_h", &self.l_sigma_h, true)?,
         );
-        if self.steps.len().max(self.remarks.len()) > MOST_ENTRIES {
-            let why = format!("have more than {MOST_ENTRIES} entries");
+        if self.steps.len().max(self.remarks.len()) > MAX_ENTRIES {
+            let why = format!("have more than {MAX_ENTRIES} entries");
             return Err(MessageError::value("steps or remarks", why));
         }
         let step = |Step(step, loss, change): Step| FitStep {

@@ -15,10 +15,10 @@ use crate::lines::{Lines, peak};
 use crate::static_load::{self, Period};
 
 /// Fewest phasors in which a tone is searched for.
-const LEAST_PHASORS: usize = 128;
+const MIN_PHASORS: usize = 128;
 
 /// Most tones that are removed from one stretch.
-const MOST_TONES: usize = 6;
+const MAX_TONES: usize = 6;
 
 /// Largest difference between the two boxcars' results, as a share of the tone.
 const MAX_BOXCAR_DIFFERENCE: f64 = 0.35;
@@ -48,7 +48,7 @@ impl Residual {
         let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
         let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
         let phasors = demodulate(segment, boxcar);
-        if phasors.len() < LEAST_PHASORS {
+        if phasors.len() < MIN_PHASORS {
             return None;
         }
         let omega = TAU * f_sw_hz;
@@ -234,7 +234,7 @@ impl Residual {
             aliases_hz.iter().any(|a| (a - hz).abs() < reach_hz)
         };
         let mut tones = Vec::new();
-        while tones.len() < MOST_TONES {
+        while tones.len() < MAX_TONES {
             let lines = Lines::of(&part.left, &part.weight);
             let Some(line) = lines.and_then(|lines| lines.strongest(is_alias)) else {
                 break;
@@ -300,7 +300,7 @@ impl<'a> WeightedPart<'a> {
         let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / n as f64);
         let periods = residual.periods[range.clone()].iter().enumerate();
         let weight: Vec<f64> = periods.map(|(k, p)| hann(k) * p.weight).collect();
-        let is_enough = n >= LEAST_PHASORS && weight.iter().sum::<f64>() > 0.0;
+        let is_enough = n >= MIN_PHASORS && weight.iter().sum::<f64>() > 0.0;
         is_enough.then(|| Self {
             left: residual.v[range.clone()].to_vec(),
             residual,

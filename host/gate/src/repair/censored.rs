@@ -28,7 +28,7 @@ const TAPER: f64 = 16.0;
 const ROUNDS: usize = 3;
 
 /// Least amplitude of a whole window for the harmonics' laws, as a share of the largest.
-const LEAST_AMPLITUDE: f64 = 0.3;
+const MIN_AMPLITUDE: f64 = 0.3;
 
 type Phasor = Complex<f64>;
 
@@ -162,7 +162,7 @@ impl<'a> Censored<'a> {
             .map(|p| self.whole[p].then(|| self.harmonics(self.pair.x, p)))
             .collect();
         let largest = x.iter().flatten().map(|x| x[0].norm()).fold(0.0, f64::max);
-        let counts = |x: &Vec<Phasor>| x[0].norm() > LEAST_AMPLITUDE * largest;
+        let counts = |x: &Vec<Phasor>| x[0].norm() > MIN_AMPLITUDE * largest;
         self.z = vec![zero; windows];
         self.amplitude = vec![0.0; windows];
         let highest = x.iter().flatten().find(|x| counts(x))?.len();

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use ihd_signal::carrier::Carrier;
 use ihd_signal::{Capture, Remark, Severity};
-use ihd_survey::clipping::LEAST_PER_PERIOD;
+use ihd_survey::clipping::MIN_PER_PERIOD;
 use ihd_survey::{Channel, Finding, Survey};
 
 use super::censored::{Censored, Pair, is_inside};
@@ -18,7 +18,7 @@ const END_SHARE: f64 = 1.5 / 128.0;
 const PART_S: f64 = 0.4e-3;
 
 /// Fewest parts in which the fit is tried.
-const LEAST_PARTS: usize = 4;
+const MIN_PARTS: usize = 4;
 
 /// Samples beyond a channel's range were restored.
 #[derive(Clone, Debug)]
@@ -62,7 +62,7 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
         }
         let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
         let moves = || Carrier::of(&survey.segment(capture, span)).is_some_and(|c| c.moves());
-        if per_period < LEAST_PER_PERIOD || moves() {
+        if per_period < MIN_PER_PERIOD || moves() {
             return None;
         }
         let model = Censored::of(Pair {
@@ -74,7 +74,7 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
             rails,
         })?;
         let parts = model.errors((PART_S * span.f_sw_hz) as usize);
-        if parts.len() < LEAST_PARTS {
+        if parts.len() < MIN_PARTS {
             return None;
         }
         errors.extend(parts);

@@ -20,15 +20,15 @@ const REACH_PERIODS: f64 = 3.0;
 const BESIDE_PERIODS: f64 = 12.0;
 
 /// Least jump in radian (five samples of 350 a period are .09), and in medians of what is usual in the stretch.
-const LEAST_RAD: f64 = 0.06;
-const LEAST_MEDIANS: f64 = 12.0;
+const MIN_RAD: f64 = 0.06;
+const MIN_MEDIANS: f64 = 12.0;
 
 /// Largest difference of the channels' jumps as a share of the jump, and largest change of their amplitudes.
 const MAX_JUMP_DIFFERENCE: f64 = 0.15;
 const SAME_AMPLITUDE: f64 = 0.1;
 
 /// Least current as a share of the largest one.
-const LEAST_CURRENT: f64 = 0.12;
+const MIN_CURRENT: f64 = 0.12;
 
 /// Periods that are left out on either side of a jump.
 const LEFT_OUT_PERIODS: f64 = 1.5;
@@ -111,7 +111,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
     let places = margin..phasors.len() - margin;
     let turns: Vec<Option<[f64; 2]>> = places
         .clone()
-        .map(|k| turn(&phasors, k, reach, beside, LEAST_CURRENT * largest_a))
+        .map(|k| turn(&phasors, k, reach, beside, MIN_CURRENT * largest_a))
         .collect();
     // Noise turns a phase the more, the smaller the current is.
     let share = |k: usize| phasors[places.start + k].i.norm() / largest_a;
@@ -124,7 +124,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
     };
     let size_at = |k: usize| {
         let size = turns[k].as_ref().map_or(0.0, size);
-        match size * share(k) > LEAST_MEDIANS * usual {
+        match size * share(k) > MIN_MEDIANS * usual {
             true => size,
             false => 0.0,
         }
@@ -134,7 +134,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
     // The largest first: what lies beside it compares with it, and seems to jump by half of it.
     while jumps.len() <= MAX_JUMPS
         && let Some(top) = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b]))
-        && sizes[top] >= LEAST_RAD
+        && sizes[top] >= MIN_RAD
         && let Some([v, i]) = turns[top]
     {
         let around = |hops: usize| top.saturating_sub(hops)..(top + hops + 1).min(turns.len());

@@ -9,14 +9,14 @@ use ihd_signal::{Capture, Remark, Severity};
 use ihd_survey::Survey;
 
 /// Fewest samples of a switching period: of fewer, a crest or an overshoot is a single sample, too.
-const LEAST_PER_PERIOD: f64 = 40.0;
+const MIN_PER_PERIOD: f64 = 40.0;
 
 /// Least height over the samples around it: a share of the channel's rms value, and standard deviations of its noise.
-const LEAST_SHARE: f64 = 0.25;
-const LEAST_SIGMAS: f64 = 8.0;
+const MIN_SHARE: f64 = 0.25;
+const MIN_SIGMAS: f64 = 8.0;
 
 /// Most spikes of a channel per switching period: what comes at each edge is ringing.
-const MOST_PER_PERIOD: f64 = 0.3;
+const MAX_PER_PERIOD: f64 = 0.3;
 
 /// Puts the mean of the neighbours in the place of each spike.
 pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<Remark> {
@@ -25,15 +25,15 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
         let numbers = [&survey.voltage, &survey.current][channel];
         let x = [&capture.v_v, &capture.i_a][channel];
         let height =
-            (LEAST_SHARE * numbers.rms).max(LEAST_SIGMAS * numbers.noise.unwrap_or(0.0)) as f32;
+            (MIN_SHARE * numbers.rms).max(MIN_SIGMAS * numbers.noise.unwrap_or(0.0)) as f32;
         let mut found = Vec::new();
         for span in &survey.spans {
             let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
-            if per_period < LEAST_PER_PERIOD {
+            if per_period < MIN_PER_PERIOD {
                 continue;
             }
             let of_span = find(x, span.first..span.first + span.samples, height);
-            let most = MOST_PER_PERIOD * span.samples as f64 / per_period;
+            let most = MAX_PER_PERIOD * span.samples as f64 / per_period;
             if (of_span.len() as f64) < most {
                 found.extend(of_span);
             }

@@ -25,13 +25,13 @@ const PER_INTERVAL: usize = 4;
 const NOISE_FLOOR: f64 = 1e-6;
 
 /// Largest mean square of the bends of a load, in units of the expected ones (the loads of the simulator from 45 kHz: 13).
-const MOST_RIPPLE: f64 = 40.0;
+const MAX_RIPPLE: f64 = 40.0;
 
 /// Bends on either side that are averaged: more than two periods of the fastest change that the splines follow.
 const RIPPLE_REACH: usize = 4;
 
 /// Largest expected bend, as a share of the impedance.
-const MOST_BEND: f64 = 0.3;
+const MAX_BEND: f64 = 0.3;
 
 /// Appends R and L of a stretch, one value per switching period.
 pub fn fit(
@@ -78,7 +78,7 @@ pub fn fit(
             let tau_s = (j as f64 - 1.0) / (spline.functions() as f64 - 3.0).max(1.0) * duration_s;
             let share =
                 (i_energy_max / phasors.at(tau_s).i.norm_sqr().max(1e-9 * i_energy_max)).powf(0.75);
-            (settings.bend * share).min(MOST_BEND) * z2.sqrt()
+            (settings.bend * share).min(MAX_BEND) * z2.sqrt()
         })
         .collect();
     for (k, bend) in bends.iter().enumerate() {
@@ -118,7 +118,7 @@ pub fn fit(
     Ok(())
 }
 
-/// Bends of R and ωL that no load has: more than [`MOST_RIPPLE`] times the expected ones over [`RIPPLE_REACH`].
+/// Bends of R and ωL that no load has: more than [`MAX_RIPPLE`] times the expected ones over [`RIPPLE_REACH`].
 struct Ripple {
     /// Mean square of the expected bends, and of the excess of the measured ones, in Ω²; one pair per function of the
     /// spline.
@@ -227,7 +227,7 @@ impl Solution {
             let mean = near.iter().sum::<f64>() / near.len() as f64;
             [
                 expected,
-                if mean > MOST_RIPPLE {
+                if mean > MAX_RIPPLE {
                     mean * expected
                 } else {
                     0.0

@@ -7,7 +7,7 @@
 use ihd_spline::CubicSpline;
 
 /// Least weight of a function, as a share of the largest amplitude.
-const LEAST_WEIGHT: f64 = 1e-3;
+const MIN_WEIGHT: f64 = 1e-3;
 
 /// Basis of rational cubic splines.
 pub struct RationalSpline {
@@ -26,7 +26,7 @@ pub struct RationalValues {
 impl RationalSpline {
     /// Creates a basis on the knots of `spline` from the current's amplitude in ampere over time in seconds, and its largest one.
     pub fn new(spline: CubicSpline, amplitude_a: impl Fn(f64) -> f64, largest_a: f64) -> Self {
-        let weight = |j| amplitude_a(spline.centre_s(j)).max(LEAST_WEIGHT * largest_a);
+        let weight = |j| amplitude_a(spline.centre_s(j)).max(MIN_WEIGHT * largest_a);
         Self {
             weights: (0..spline.functions()).map(weight).collect(),
             spline,

@@ -36,7 +36,7 @@ const REACH_FRAMES: usize = SIDE_FRAMES + GAP_FRAMES / 2;
 const NEAR_PERIODS: f64 = 4.0;
 
 /// Share of the largest current below which positions are not judged.
-const LEAST_CURRENT: f64 = 0.12;
+const MIN_CURRENT: f64 = 0.12;
 
 /// Least step that is reported, as a share of the impedance.
 const MIN_STEP_SHARE: f64 = 0.06;
@@ -204,8 +204,7 @@ impl Frames {
 
     /// Difference of the impedances before and after frame `k`, as a share of the smaller; 0 where positions are not judged.
     fn difference(&self, k: usize) -> f64 {
-        let Some([before, after]) = self.sides(k).filter(|_| self.current(k) > LEAST_CURRENT)
-        else {
+        let Some([before, after]) = self.sides(k).filter(|_| self.current(k) > MIN_CURRENT) else {
             return 0.0;
         };
         let (a, b) = (self.mean(before), self.mean(after));

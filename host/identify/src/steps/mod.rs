@@ -14,7 +14,7 @@ use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 const GUARD_PERIODS: f64 = 2.0;
 
 /// Switching periods that are left out beside a short piece.
-const LEAST_GUARD_PERIODS: f64 = 1.0;
+const MIN_GUARD_PERIODS: f64 = 1.0;
 
 /// Fewest switching periods of a piece that is identified.
 const LEAST_PERIODS: f64 = ihd_signal::segment::MIN_PERIODS;
@@ -147,7 +147,7 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
             // One sample more on either side for rounding.
             let needed = LEAST_PERIODS + 2.0 / per_period;
             let spare = (periods - needed) / sides.max(1) as f64;
-            let guard = spare.clamp(LEAST_GUARD_PERIODS, GUARD_PERIODS) * per_period;
+            let guard = spare.clamp(MIN_GUARD_PERIODS, GUARD_PERIODS) * per_period;
             let inner = |side: bool| if side { guard.round() as usize } else { 0 };
             let start = (from + inner(k > 0)).min(to);
             Piece {

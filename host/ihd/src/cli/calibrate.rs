@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
-use ihd_gate::sensors::{LEAST_RATE_HZ, is_of_sampling};
+use ihd_gate::sensors::{MIN_RATE_HZ, is_of_sampling};
 use ihd_signal::Capture;
 use ihd_survey::Survey;
 use ihd_survey::calibration::{Calibration, ReferenceLoad, blind, estimate};
@@ -106,7 +106,7 @@ impl CalibrateArgs {
                     self.capture.path().display(),
                     calibration.lag_s.value * 1e9,
                     survey.rate_hz / 1e6,
-                    LEAST_RATE_HZ / 1e6
+                    MIN_RATE_HZ / 1e6
                 );
                 for remark in calibration.remarks(true) {
                     output::complain(format_args!("{remark}"));

@@ -14,7 +14,7 @@ use crate::hostile;
 use crate::process::{PATIENCE, Process, ihd};
 
 /// Memory that a command may take, in bytes: ten times what it takes with a device that is well.
-const MOST_RSS: u64 = 200_000_000;
+const MAX_RSS: u64 = 200_000_000;
 
 /// Their windows are those of a load (two sines), only counted wrongly: who needs no numbers may be taught by them.
 const SOUND_BUT_FOR_NUMBERS: [&str; 2] =
@@ -96,7 +96,7 @@ fn against(
     if !allowed.contains(&code) && !has_taught {
         return Err(format!("exit {code} after {took}: {last}"));
     }
-    if process.peak_rss > MOST_RSS {
+    if process.peak_rss > MAX_RSS {
         return Err(format!("too much memory: exit {code} after {took}: {last}"));
     }
     for bytes in [said, fs::read(&out).unwrap_or_default()] {

@@ -6,10 +6,10 @@ use ihd::cli::moved::{MOVED, Moved};
 use ihd::cli::pages;
 
 /// Limit of the commands that do something themselves.
-const MOST_COMMANDS: usize = 24;
+const MAX_COMMANDS: usize = 24;
 
 /// Limit of the flags, --help and --version aside.
-const MOST_FLAGS: usize = 100;
+const MAX_FLAGS: usize = 100;
 
 /// Counts the leaves below a command, and its flags and theirs.
 fn count(command: &clap::Command) -> (usize, usize) {
@@ -31,8 +31,8 @@ fn the_surface_is_small() {
     let command = pages::command();
     let (commands, flags) = count(&command);
     println!("{commands} commands, {flags} flags");
-    assert!(commands <= MOST_COMMANDS, "{commands} commands");
-    assert!(flags <= MOST_FLAGS, "{flags} flags");
+    assert!(commands <= MAX_COMMANDS, "{commands} commands");
+    assert!(flags <= MAX_FLAGS, "{flags} flags");
 }
 
 /// Old command line: the command with a device where it takes one.

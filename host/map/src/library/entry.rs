@@ -13,13 +13,13 @@ use crate::parameters::{self, COUNT, OF_POT};
 pub const ENTRY_VERSION: u32 = 1;
 
 /// Most bytes of an entry.
-pub const MOST_ENTRY_BYTES: usize = 2_048;
+pub const MAX_ENTRY_BYTES: usize = 2_048;
 
 /// Most bytes of the name of an entry, a hob or a build.
-const MOST_NAME: usize = 48;
+const MAX_NAME: usize = 48;
 
 /// Most hobs that an entry names.
-pub(crate) const MOST_HOBS: usize = 8;
+pub(crate) const MAX_HOBS: usize = 8;
 
 /// Numbers of a lower triangle.
 const TRIANGLE: usize = COUNT * (COUNT + 1) / 2;
@@ -189,7 +189,7 @@ impl PotEntry {
         }
     }
 
-    /// Serialises as JSON, below [`MOST_ENTRY_BYTES`].
+    /// Serialises as JSON, below [`MAX_ENTRY_BYTES`].
     pub fn to_bytes(&self) -> Vec<u8> {
         // Text and numbers: nothing of it can fail to be JSON.
         serde_json::to_vec(self).unwrap_or_default()
@@ -204,10 +204,10 @@ impl PotEntry {
         struct Version {
             version: u32,
         }
-        if bytes.len() > MOST_ENTRY_BYTES {
+        if bytes.len() > MAX_ENTRY_BYTES {
             return Err(LibraryError::TooLarge {
                 bytes: bytes.len(),
-                most: MOST_ENTRY_BYTES,
+                most: MAX_ENTRY_BYTES,
             });
         }
         let Version { version } = serde_json::from_slice(bytes)?;
@@ -232,7 +232,7 @@ impl PotEntry {
         if !names.into_iter().all(|name| is_name(name)) || self.hobs.is_empty() {
             return unsound("a name");
         }
-        if self.hobs.len() > MOST_HOBS || self.label.as_deref().is_some_and(|l| !is_label(l)) {
+        if self.hobs.len() > MAX_HOBS || self.label.as_deref().is_some_and(|l| !is_label(l)) {
             return unsound("too many or too long names");
         }
         if !parameters::is_sound(&self.model) {
@@ -307,9 +307,9 @@ impl MeasuredRange {
 
 fn is_name(name: &str) -> bool {
     let letter = |c: u8| c.is_ascii_alphanumeric() || b"-_.+".contains(&c);
-    (1..=MOST_NAME).contains(&name.len()) && name.bytes().all(letter)
+    (1..=MAX_NAME).contains(&name.len()) && name.bytes().all(letter)
 }
 
 fn is_label(label: &str) -> bool {
-    label.len() <= MOST_NAME && !label.chars().any(char::is_control)
+    label.len() <= MAX_NAME && !label.chars().any(char::is_control)
 }

@@ -25,16 +25,16 @@ pub(crate) use entry::ExportedFit;
 pub use shape::places as shape_places;
 pub(crate) use shape::{Shape, ShapeState};
 
-pub use entry::{ENTRY_VERSION, MOST_ENTRY_BYTES, MeasuredRange, MetalClass, PotEntry, Provenance};
+pub use entry::{ENTRY_VERSION, MAX_ENTRY_BYTES, MeasuredRange, MetalClass, PotEntry, Provenance};
 
 /// Version of the layout of [`Library::to_bytes`].
 pub const LIBRARY_VERSION: u32 = 1;
 
 /// Most entries of a library: searching all of them takes a tenth of a second.
-pub const MOST_ENTRIES: usize = 128;
+pub const MAX_ENTRIES: usize = 128;
 
 /// Most entries of one hob alone: a hob that sends many displaces its own.
-pub const MOST_OF_ONE_HOB: usize = 16;
+pub const MAX_OF_ONE_HOB: usize = 16;
 
 /// Reason why bytes are no entry or no library.
 #[derive(Debug, thiserror::Error)]
@@ -121,9 +121,9 @@ impl Library {
     fn make_room(&mut self, hob: &str) {
         let alone = |e: &PotEntry, hob: &str| e.hobs().len() == 1 && e.hobs()[0] == hob;
         let count = |hob: &str| self.entries.iter().filter(|e| alone(e, hob)).count();
-        let fills = if count(hob) >= MOST_OF_ONE_HOB {
+        let fills = if count(hob) >= MAX_OF_ONE_HOB {
             hob.to_owned()
-        } else if self.entries.len() >= MOST_ENTRIES {
+        } else if self.entries.len() >= MAX_ENTRIES {
             let most = self.entries.iter().max_by_key(|e| count(&e.hobs()[0]));
             most.map_or_else(String::new, |e| e.hobs()[0].clone())
         } else {
@@ -153,7 +153,7 @@ impl Library {
     /// # Errors
     /// [`LibraryError`] if the bytes are no library that hobs can have produced.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, LibraryError> {
-        let most = MOST_ENTRIES * MOST_ENTRY_BYTES;
+        let most = MAX_ENTRIES * MAX_ENTRY_BYTES;
         if bytes.len() > most {
             return Err(LibraryError::TooLarge {
                 bytes: bytes.len(),
@@ -164,7 +164,7 @@ impl Library {
         if file.version != LIBRARY_VERSION {
             return Err(LibraryError::Version(file.version));
         }
-        if file.entries.len() > MOST_ENTRIES {
+        if file.entries.len() > MAX_ENTRIES {
             return Err(LibraryError::Unsound("so many pots"));
         }
         file.entries.iter().try_for_each(PotEntry::check)?;

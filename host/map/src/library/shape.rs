@@ -20,7 +20,7 @@ const POINTS: usize = FREQUENCIES_HZ.len() * KNOTS.len();
 const UNIT: f64 = 1e-5;
 
 /// Least misfit with which a shape is used: the linearisation around the fit has an error of this size.
-const LEAST_MISFIT: f64 = 0.004;
+const MIN_MISFIT: f64 = 0.004;
 
 /// Variance as a share of the misfit's, which keeps the interpolation bounded far from its points.
 const NUGGET: f64 = 1e-3;
@@ -92,7 +92,7 @@ impl ShapeState {
     /// Returns `true` if a misfit of this deviation can cause the shape: within four deviations, or four of the least misfit.
     pub fn is_likely(&self) -> bool {
         let within = |(k, code): (usize, &i16)| {
-            let most = 4.0 * self.range.misfit[k / POINTS].max(LEAST_MISFIT) / UNIT;
+            let most = 4.0 * self.range.misfit[k / POINTS].max(MIN_MISFIT) / UNIT;
             f64::from(code.unsigned_abs()) <= most
         };
         self.codes.len() == NUMBERS && self.codes.iter().enumerate().all(within)

@@ -40,7 +40,7 @@ fn entry(hob: &str, t_unix_s: u64, change: impl Fn(&mut PotModel)) -> PotEntry {
 fn an_entry_goes_round_through_few_bytes() {
     let entry = entry("hob-1", 7, |_| ()).labelled("Großmutters Topf");
     let bytes = entry.to_bytes();
-    assert!(bytes.len() < MOST_ENTRY_BYTES, "{}", bytes.len());
+    assert!(bytes.len() < MAX_ENTRY_BYTES, "{}", bytes.len());
     let back = PotEntry::from_bytes(&bytes).unwrap();
     assert_eq!(back, entry);
     assert_eq!(
@@ -100,9 +100,9 @@ fn lies_are_refused_and_named() {
         let shelf = format!("{{\"version\":1,\"entries\":[{lie}]}}");
         assert!(Library::from_bytes(shelf.as_bytes()).is_err(), "{to}");
     }
-    let padded = text + &" ".repeat(MOST_ENTRY_BYTES);
+    let padded = text + &" ".repeat(MAX_ENTRY_BYTES);
     assert!(PotEntry::from_bytes(padded.as_bytes()).is_err());
-    let huge = vec![b' '; MOST_ENTRIES * MOST_ENTRY_BYTES + 1];
+    let huge = vec![b' '; MAX_ENTRIES * MAX_ENTRY_BYTES + 1];
     assert!(matches!(
         Library::from_bytes(&huge),
         Err(LibraryError::TooLarge { .. })
@@ -184,7 +184,7 @@ fn one_hob_that_sends_many_makes_room_among_its_own() {
         });
         library.add(spam).unwrap();
         let of_spam = library.entries().iter().filter(|e| e.hobs()[0] == "spam");
-        assert!(of_spam.count() <= MOST_OF_ONE_HOB);
+        assert!(of_spam.count() <= MAX_OF_ONE_HOB);
     }
     let honest = library.entries().iter().filter(|e| e.hobs()[0] == "honest");
     assert_eq!(honest.count(), 11);
@@ -196,10 +196,10 @@ fn one_hob_that_sends_many_makes_room_among_its_own() {
                 m.ln_s = -15.9 + 0.33 * f64::from(hob);
             });
             library.add(own).unwrap();
-            assert!(library.entries().len() <= MOST_ENTRIES);
+            assert!(library.entries().len() <= MAX_ENTRIES);
         }
     }
-    assert!(library.to_bytes().len() <= MOST_ENTRIES * MOST_ENTRY_BYTES);
+    assert!(library.to_bytes().len() <= MAX_ENTRIES * MAX_ENTRY_BYTES);
 }
 
 /// One window of the paper's pot.

@@ -35,7 +35,7 @@ const INTERVALS: [usize; 2] = [11, 3];
 const LEVEL: f64 = 0.1;
 
 /// Most mean residual of the load, relative to what is no fault of it, at which the law holds.
-const MOST_RESIDUAL: f64 = 0.6;
+const MAX_RESIDUAL: f64 = 0.6;
 
 /// Place in a half-cycle: the current's amplitude in ampere and the cosine of the mains' phase.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -151,7 +151,7 @@ impl LawFit {
     /// network to find more.
     pub fn holds(residuals: &[f64]) -> bool {
         // The comparison is false for NaN.
-        residuals.iter().sum::<f64>() <= MOST_RESIDUAL * residuals.len() as f64
+        residuals.iter().sum::<f64>() <= MAX_RESIDUAL * residuals.len() as f64
     }
 }
 

@@ -1,7 +1,7 @@
 //! The range of every setting.
 
 use super::{Optimiser, PinnConfig};
-use crate::impedance_law::LARGEST_ORDER;
+use crate::impedance_law::MAX_ORDER;
 use crate::{ImpedanceOrder, PinnError, SlowEmbedding, ViMlp};
 
 impl PinnConfig {
@@ -103,9 +103,9 @@ impl PinnConfig {
             );
         }
         match self.impedance_order {
-            ImpedanceOrder::Given(n) if !(0.0..=LARGEST_ORDER).contains(&n) => wrong(
+            ImpedanceOrder::Given(n) if !(0.0..=MAX_ORDER).contains(&n) => wrong(
                 "impedance_order",
-                format!("is {n}, but must be 0 to {LARGEST_ORDER}"),
+                format!("is {n}, but must be 0 to {MAX_ORDER}"),
             ),
             ImpedanceOrder::Named(_) if self.physics_harmonics.len() < 2 => wrong(
                 "impedance_order",

@@ -24,7 +24,7 @@ const LAST_DAMPING: f64 = 1e12;
 /// Share of a step at which the second derivative of the residuals is computed: long enough to be above rounding.
 const PROBE: f64 = 0.1;
 /// Largest second order of a step relative to it (Transtrum and Sethna's α).
-const MOST_BENT: f64 = 0.75;
+const MAX_BEND_RATIO: f64 = 0.75;
 /// Steps over which the outputs' change is compared with the tolerance.
 const SETTLING_STEPS: usize = 2;
 
@@ -177,7 +177,7 @@ fn bent<P: LeastSquares>(
         .collect();
     let acceleration = damped.acceleration(&bend);
     // The comparison is false for NaN.
-    if 2.0 * acceleration.norm() <= MOST_BENT * step.norm() {
+    if 2.0 * acceleration.norm() <= MAX_BEND_RATIO * step.norm() {
         return Ok(step + acceleration * 0.5);
     }
     Ok(step.clone())

@@ -128,12 +128,12 @@ impl Burn {
 }
 
 /// Most groups of rows: as many blocks as keep a large GPU busy.
-const MOST_GROUPS: usize = 256;
+const MAX_GROUPS: usize = 256;
 
 /// Largest number of equal groups of so many rows.
 fn groups_of(rows: usize) -> usize {
     let divides = |groups: &usize| rows.is_multiple_of(*groups);
-    (1..=MOST_GROUPS).rev().find(divides).unwrap_or(1)
+    (1..=MAX_GROUPS).rev().find(divides).unwrap_or(1)
 }
 
 /// x W + b, not as `Dense::forward`, which joins the groups.

@@ -21,7 +21,7 @@ const SIZE_PX: (f64, f64) = (540.0, 320.0);
 const FRAME_PX: (f64, f64, f64, f64) = (66.0, 26.0, 464.0, 248.0);
 
 /// Points of a curve beyond which columns of minimum and maximum are drawn.
-const MOST_POINTS: usize = 8000;
+const MAX_POINTS: usize = 8000;
 
 /// Columns of such a curve.
 const COLUMNS: usize = 4000;
@@ -158,7 +158,7 @@ fn thinned(
     run: &[(f64, f64)],
     of: impl Fn(f64, f64) -> Vec<f64>,
 ) -> Vec<(f64, f64)> {
-    if run.len() <= MOST_POINTS {
+    if run.len() <= MAX_POINTS {
         return run.to_vec();
     }
     let scale = &panel.x.scale;

@@ -115,14 +115,13 @@ fn over_current(area: &Area<'_>, title: &str, cells: &[JudgedCell]) -> DrawResul
 }
 
 /// Smallest error drawn, in percent: smaller ones are drawn here, as the codes of a lookup resolve no more.
-const LEAST_PCT: f64 = 1e-2;
+const MIN_PCT: f64 = 1e-2;
 
 /// With correct deviations two of three dots lie below the line, and one of twenty above twice of it.
 fn over_deviation(area: &Area<'_>, cells: &[JudgedCell]) -> DrawResult {
     let dots = |name: &str, colour, of: fn(&JudgedCell) -> (f64, f64)| {
         let points = cells.iter().map(of);
-        let points =
-            points.map(|(sigma, error)| (sigma.max(LEAST_PCT), error.abs().max(LEAST_PCT)));
+        let points = points.map(|(sigma, error)| (sigma.max(MIN_PCT), error.abs().max(MIN_PCT)));
         PlotCurve::new(name, colour, Pen::Dots, points.collect())
     };
     let mut curves = vec![
@@ -131,7 +130,7 @@ fn over_deviation(area: &Area<'_>, cells: &[JudgedCell]) -> DrawResult {
     ];
     let all = curves.iter().flat_map(PlotCurve::points);
     let largest = all.flat_map(|(x, y)| [x, y]).fold(1.0, f64::max);
-    let range = LEAST_PCT..1.5 * largest;
+    let range = MIN_PCT..1.5 * largest;
     let line = |name: &str, pen, times: f64| {
         let ends = [range.start, range.end / times].map(|x| (x, times * x));
         PlotCurve::new(name, GREY, pen, ends.to_vec())

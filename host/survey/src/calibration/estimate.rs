@@ -365,7 +365,7 @@ fn load(
         weighted(gains.into_iter())
     };
     let skew = weighted(skews.iter().copied());
-    if skew.0.is_nan() || skew.0.abs() > super::LARGEST_SKEW_S {
+    if skew.0.is_nan() || skew.0.abs() > super::MAX_SKEW_S {
         return Err(wrong(format!(
             "it would take a skew of {:.1} µs",
             skew.0 * 1e6

@@ -101,7 +101,7 @@ pub struct OutOfRange {
 const WELL_KNOWN_S: f64 = 1e-9;
 
 /// Largest plausible skew in seconds; the simulator's limit.
-const LARGEST_SKEW_S: f64 = 10e-6;
+const MAX_SKEW_S: f64 = 10e-6;
 
 /// Skew in seconds that no usual pair of probes has: more is doubted.
 const DOUBTED_SKEW_S: f64 = 1e-6;
@@ -202,25 +202,15 @@ impl Calibration {
     /// The first that is not.
     pub fn check(&self) -> Result<(), OutOfRange> {
         for (name, value, least, most) in [
-            ("skew_s", self.skew_s, -LARGEST_SKEW_S, LARGEST_SKEW_S),
-            ("skew_sigma_s", self.skew_sigma_s, 0.0, LARGEST_SKEW_S),
+            ("skew_s", self.skew_s, -MAX_SKEW_S, MAX_SKEW_S),
+            ("skew_sigma_s", self.skew_sigma_s, 0.0, MAX_SKEW_S),
             ("gain_ratio", self.gain_ratio, 0.01, 100.0),
             ("gain_ratio_sigma", self.gain_ratio_sigma, 0.0, 100.0),
             ("v_offset_v", self.v_offset_v, -1e5, 1e5),
             ("i_offset_a", self.i_offset_a, -1e5, 1e5),
             ("response.skew_s", self.response.skew_s, 0.0, 0.0),
-            (
-                "response.i_tau_s",
-                self.response.i_tau_s,
-                0.0,
-                LARGEST_SKEW_S,
-            ),
-            (
-                "response.v_tau_s",
-                self.response.v_tau_s,
-                0.0,
-                LARGEST_SKEW_S,
-            ),
+            ("response.i_tau_s", self.response.i_tau_s, 0.0, MAX_SKEW_S),
+            ("response.v_tau_s", self.response.v_tau_s, 0.0, MAX_SKEW_S),
             ("response.i_droop_hz", self.response.i_droop_hz, 0.0, 1e5),
         ] {
             if !(least..=most).contains(&value) {

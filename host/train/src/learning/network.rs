@@ -32,7 +32,7 @@ const LOWEST_A: f64 = 1.0;
 const HIGHEST_A: f64 = 2e-3 * I_MAX_MA as f64;
 
 /// Least noise that is assumed, relative to the largest current: the rest of 12-bit quantisation in a period's mean.
-const LEAST_NOISE: f64 = 1e-4;
+const MIN_NOISE: f64 = 1e-4;
 
 /// R(t) and L(t) of a window with current and misfit: lists of equal length, evenly spaced in time.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +80,7 @@ pub fn curve(
         );
         let z2 = r_ohm * r_ohm + (omega * l_h).powi(2);
         let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
-        let least = z2 * (LEAST_NOISE * most_a).powi(2);
+        let least = z2 * (MIN_NOISE * most_a).powi(2);
         let left = trajectory.chi2.get(k).copied().unwrap_or(1.0);
         let sigma_v = (2.0 * (white * left + least) / per_time).sqrt();
         MeasuredPoint {

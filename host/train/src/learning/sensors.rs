@@ -29,11 +29,11 @@ const MIN_WINDOWS: u32 = 8;
 /// Standard deviations from which a lag is corrected, and its least size in seconds: the uncertainty that the settling filter and ten
 /// samples a plateau add.
 const MIN_LAG_SIGMAS: f64 = 4.0;
-const LEAST_S: f64 = 3e-9;
+const MIN_S: f64 = 3e-9;
 
 /// Noise of a channel over its rms up to which a window counts. The lag from plateaus has an error that grows with the noise squared: 27 ns
 /// at 72 kHz and 30 dB, 10 ns at 35 dB, which a bridge's resistance would explain and is not corrected.
-const MOST_NOISE: f64 = 0.02;
+const MAX_NOISE: f64 = 0.02;
 
 /// Tolerance of the resonance capacitor, as a share.
 const CAPACITANCE: f64 = 0.05;
@@ -112,7 +112,7 @@ impl SensorEvidence {
     /// Estimates the sensor errors from a window as it was sampled.
     pub fn of(segment: &Segment) -> Self {
         let mut evidence = Self::default();
-        if noisiest(segment) > MOST_NOISE {
+        if noisiest(segment) > MAX_NOISE {
             evidence.noisy = true;
             return evidence;
         }
@@ -207,7 +207,7 @@ impl Sensors {
         let c_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;
         // The bridge's resistance has the same effect as a current that lags.
         let bridge = (0.0..BRIDGE_R_MAX_OHM * c_f).contains(&lag.value);
-        let significant = lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(LEAST_S);
+        let significant = lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(MIN_S);
         (self.windows >= MIN_WINDOWS && significant && !bridge).then(|| Correction {
             skew_s: -lag.value,
             ..Correction::default()

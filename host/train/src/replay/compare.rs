@@ -5,7 +5,7 @@ use ihd_shared::wire::messages::Telemetry;
 use serde::Serialize;
 
 /// Differences that are listed; the rest is only counted.
-pub const MOST_LISTED: usize = 20;
+pub const MAX_LISTED: usize = 20;
 
 /// One value on which device and host do not agree.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -50,7 +50,7 @@ pub struct ReplayReport {
     pub reconnects: u32,
     /// Number of differences.
     pub differences: usize,
-    /// First differences, at most [`MOST_LISTED`].
+    /// First differences, at most [`MAX_LISTED`].
     pub first: Vec<ReplayDifference>,
     /// Wall time in seconds.
     pub seconds: f64,
@@ -75,7 +75,7 @@ impl ReplayReport {
             return;
         }
         self.differences += 1;
-        if self.first.len() < MOST_LISTED {
+        if self.first.len() < MAX_LISTED {
             self.first.push(ReplayDifference {
                 t_s,
                 what: what.to_owned(),

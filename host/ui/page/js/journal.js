@@ -118,7 +118,7 @@ function absent(page, list) {
 const newestFirst = (list) => list.sort((a, b) => b.at_ms - a.at_ms);
 
 /** Most entries of a page. */
-export const MOST_OF_PAGE = 10_000;
+export const MAX_OF_PAGE = 10_000;
 
 /**
  * What to ask for to get older entries. The millisecond of the oldest is asked for again, since more may have happened
@@ -131,7 +131,7 @@ export const MOST_OF_PAGE = 10_000;
 export function older(list, limit, stuck) {
   const oldest = list.findLast((entry) => !entry.live);
   if (!oldest) return null;
-  return { before: oldest.at_ms + 1, limit: Math.min(limit * 2 ** stuck, MOST_OF_PAGE) };
+  return { before: oldest.at_ms + 1, limit: Math.min(limit * 2 ** stuck, MAX_OF_PAGE) };
 }
 
 /**

@@ -14,7 +14,7 @@ const PING_MS = 500;
 const PATIENCE_MS = 4000;
 /** A slow link is no lost one: an answer may take two renewals. */
 const REQUEST_MS = 6000;
-const MOST_UNDER_WAY = 2;
+const MAX_UNDER_WAY = 2;
 
 /** @type {Map<string, {url: string, holder: string, next_ms: number, underWay: number}>} */
 const leases = new Map();
@@ -40,7 +40,7 @@ setInterval(() => {
     return;
   }
   for (const [device, lease] of leases) {
-    if (now >= lease.next_ms && lease.underWay < MOST_UNDER_WAY) renew(device, lease);
+    if (now >= lease.next_ms && lease.underWay < MAX_UNDER_WAY) renew(device, lease);
   }
 }, PING_MS);
 

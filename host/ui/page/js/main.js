@@ -13,7 +13,7 @@ import { hashOf, placeOf, VIEWS } from "./router.js";
 import { isShared } from "./shared-stream.js";
 import { StoreBanner } from "./store-banner.js";
 import { Stream } from "./stream.js";
-import { MOST_STREAMS, Tabs } from "./tabs.js";
+import { MAX_STREAMS, Tabs } from "./tabs.js";
 import { Theme } from "./theme.js";
 
 /** Between two intervals of the live stream, in milliseconds. */
@@ -185,7 +185,7 @@ stream.on("notice", (notice) => {
 // Without a stream for all, a hidden page that heats nothing gives its connection to others where there are many.
 const tabs = new Tabs(settle);
 function settle() {
-  if (!isShared() && document.hidden && leases.heated().length === 0 && tabs.count() > MOST_STREAMS) stream.rest();
+  if (!isShared() && document.hidden && leases.heated().length === 0 && tabs.count() > MAX_STREAMS) stream.rest();
   else stream.wake();
 }
 document.addEventListener("visibilitychange", settle);

@@ -10,7 +10,7 @@ import { duration } from "./format.js";
 /** One try's time, in milliseconds. */
 const TRY_MS = 2500;
 const FIRST_WAIT_MS = 250;
-const MOST_WAIT_MS = 2000;
+const MAX_WAIT_MS = 2000;
 
 /** How long success stays to be read. */
 const DONE_MS = 4000;
@@ -85,7 +85,7 @@ export class Off {
         setText(why, `— not acknowledged: ${problem.message}. The hob goes off by itself 10 s after it last heard of the host; if it does not, use its own switch.`);
         setText(count, `Try ${work.tries}, for ${duration((performance.now() - work.began_ms) / 1000)}.`);
       }
-      await new Promise((wake) => setTimeout(wake, Math.min(MOST_WAIT_MS, FIRST_WAIT_MS * 1.5 ** work.tries)));
+      await new Promise((wake) => setTimeout(wake, Math.min(MAX_WAIT_MS, FIRST_WAIT_MS * 1.5 ** work.tries)));
     }
   }
 

@@ -3,7 +3,7 @@
  * The one event stream of this browser, handed on to all pages of this daemon: over HTTP/1.1 a browser opens six connections to a
  * host, and a stream of its own for each page would leave none for Off.
  *
- * A page says `open` and `close`, and `taken` for each event that it has got: one that hangs is not told more than {@link MOST_BEHIND},
+ * A page says `open` and `close`, and `taken` for each event that it has got: one that hangs is not told more than {@link MAX_BEHIND},
  * and what it misses is counted.
  */
 
@@ -11,7 +11,7 @@ import { EVENTS } from "./shared-stream.js";
 import { DEAD_MS } from "./stream.js";
 
 /** Events that a page may have before it. */
-const MOST_BEHIND = 100;
+const MAX_BEHIND = 100;
 
 /** @type {Map<MessagePort, {behind: number, missed: number}>} */
 const pages = new Map();
@@ -78,7 +78,7 @@ function connect(url) {
 function give(port, name, text) {
   const page = pages.get(port);
   if (!page) return;
-  if (page.behind >= MOST_BEHIND) {
+  if (page.behind >= MAX_BEHIND) {
     if (name === "notice") page.missed += 1;
     if (name === "missed") page.missed += JSON.parse(text).missed;
     return;

@@ -19,7 +19,7 @@ const BACKOFF_FIRST_MS = 400;
 const BACKOFF_MOST_MS = 8000;
 
 /** Most notices that wait for a frame; a hidden tab drops the oldest, and counts them as missed. */
-const MOST_NOTICES = 1000;
+const MAX_NOTICES = 1000;
 
 /**
  * What a stream tells of itself: `stale` since when (page's clock, ms), how often a connection failed in a row.
@@ -201,7 +201,7 @@ export class Stream {
     } else if (name === "notice") {
       const list = (this.pending.notice ??= []);
       list.push(data);
-      if (list.length > MOST_NOTICES) {
+      if (list.length > MAX_NOTICES) {
         list.shift();
         this.pending.missed = { missed: (this.pending.missed?.missed ?? 0) + 1 };
       }

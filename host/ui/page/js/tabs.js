@@ -11,7 +11,7 @@ const SAY_MS = 10_000;
 const FORGET_MS = 150_000;
 
 /** So many pages may hold their stream while hidden. */
-export const MOST_STREAMS = 3;
+export const MAX_STREAMS = 3;
 
 export class Tabs {
   /** @param {() => void} changed called when pages come and go */

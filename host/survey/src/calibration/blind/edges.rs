@@ -74,7 +74,7 @@ const HOP: f64 = 2.0;
 const BUS_FRAMES: usize = 3;
 
 /// Most steps whose median ratio is computed.
-const MOST_STEPS: usize = 20_000;
+const MAX_STEPS: usize = 20_000;
 
 /// Length of compared steps as a share of a period: an edge is longer, and noise of a single sample at 125 MS/s is more
 /// than a fiftieth of an edge.
@@ -121,7 +121,7 @@ impl Stretch {
     /// change the median.
     fn elastance(&self, q_c: &[f64]) -> Option<f64> {
         let m = ((0.05 * self.per_period()) as usize).max(1);
-        let every = (self.v_v.len() / MOST_STEPS).max(1);
+        let every = (self.v_v.len() / MAX_STEPS).max(1);
         let mut steps: Vec<(f64, f64)> = (0..self.v_v.len().saturating_sub(m))
             .step_by(every)
             .map(|k| (self.v_v[k + m] - self.v_v[k], q_c[k + m] - q_c[k]))

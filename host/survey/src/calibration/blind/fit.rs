@@ -196,7 +196,7 @@ impl Scope<'_> {
             e = x[0];
             let mut next = 1;
             if model.has_time() {
-                t_s = (t_s + x[next]).clamp(-MOST_S, MOST_S);
+                t_s = (t_s + x[next]).clamp(-MAX_S, MAX_S);
                 next += 1;
             }
             if model.has_droop() {
@@ -306,7 +306,7 @@ impl Scope<'_> {
 }
 
 /// Largest time constant or skew in seconds for which the expansion holds.
-const MOST_S: f64 = 4e-6;
+const MAX_S: f64 = 4e-6;
 
 /// Normal equations with columns scaled to one.
 struct Normal {

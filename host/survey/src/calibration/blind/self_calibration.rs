@@ -82,13 +82,13 @@ pub struct SelfCalibration {
 pub const BRIDGE_R_MAX_OHM: f64 = 0.05;
 
 /// Lag in seconds below which no correction is made.
-const LEAST_LAG_S: f64 = 0.5e-9;
+const MIN_LAG_S: f64 = 0.5e-9;
 
 /// Error of R in percent below which a lag is left: plateaus are trusted no further.
-const LEAST_COST_PCT: f64 = 0.25;
+const MIN_COST_PCT: f64 = 0.25;
 
 /// Lag beside droop, in seconds, below which it may be a bridge's resistance.
-const LEAST_BESIDE_DROOP_S: f64 = 3e-9;
+const MIN_BESIDE_DROOP_S: f64 = 3e-9;
 
 /// Standard deviations from which a lag is significant.
 pub(super) const MIN_LAG_SIGMAS: f64 = 3.0;
@@ -125,12 +125,12 @@ impl SelfCalibration {
     pub fn is_significant(&self) -> bool {
         let lag = self.lag_s;
         self.response != SensorResponse::Right
-            && lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(LEAST_LAG_S)
+            && lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(MIN_LAG_S)
     }
 
     /// Returns `true` if the lag matters to R.
     pub fn is_costly(&self) -> bool {
-        self.cost_pct.is_none_or(|(r, _)| r > LEAST_COST_PCT)
+        self.cost_pct.is_none_or(|(r, _)| r > MIN_COST_PCT)
     }
 
     /// Returns `true` if a resistance of the bridge could explain the whole lag, droop aside: the current seems late by no more
@@ -139,7 +139,7 @@ impl SelfCalibration {
         let least_s = match self.response {
             SensorResponse::Skew { .. } => 0.0,
             // Less precise, because it is estimated together with the corner.
-            SensorResponse::Droop { .. } => LEAST_BESIDE_DROOP_S,
+            SensorResponse::Droop { .. } => MIN_BESIDE_DROOP_S,
             _ => return false,
         };
         (least_s..BRIDGE_R_MAX_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())

@@ -17,7 +17,7 @@ pub(super) struct SettledChoice {
 }
 
 /// Least skew in seconds that may have another cause: a voltage bandwidth of 2.7 MHz.
-const LEAST_S: f64 = 60e-9;
+const MIN_S: f64 = 60e-9;
 
 /// Start values for the time constant of a slow voltage, as shares of the skew: the tails make it look slower.
 const STARTS: [f64; 4] = [1.0, 0.75, 0.55, 0.4];
@@ -42,7 +42,7 @@ pub(super) fn settle(
         skew_s: 0.0,
     };
     // A skew that explains everything is preferred.
-    if plain.is_flat() || skew.value.abs() < LEAST_S.max(10.0 * skew.sigma) {
+    if plain.is_flat() || skew.value.abs() < MIN_S.max(10.0 * skew.sigma) {
         return Ok(nothing(plain));
     }
     let skewed = refined(skew.value, |skew_s| {

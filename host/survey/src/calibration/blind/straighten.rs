@@ -21,7 +21,7 @@ pub struct Saturation {
 }
 
 /// Least saturation current over the largest sample: beyond, noise decides the corrected value.
-const LEAST_OVER_LARGEST: f64 = 1.1;
+const MIN_OVER_LARGEST: f64 = 1.1;
 
 /// Most rounds of the search.
 const MAX_ROUNDS: usize = 5;
@@ -74,7 +74,7 @@ pub(super) fn straighten(
 fn straightened(capture: &mut Capture, at_a: f64) -> Option<()> {
     for x in &mut capture.i_a {
         let share = f64::from(*x) / at_a;
-        if share.abs() * LEAST_OVER_LARGEST > 1.0 {
+        if share.abs() * MIN_OVER_LARGEST > 1.0 {
             return None;
         }
         // NaN stays NaN.

@@ -8,7 +8,7 @@ import { actOrAsk, heatOrAsk } from "./power.js";
 const SWEEP_SHARES = [0.2, 0.4, 0.6, 0.8];
 
 /** Most powers of a sweep. */
-const MOST_POWERS = 32;
+const MAX_POWERS = 32;
 
 export class Acts {
   /**
@@ -65,7 +65,7 @@ export class Acts {
     if (answer !== "sweep") return;
     const powers_w = powersOf(input.value, hob.requested_power_max_w);
     if (powers_w === null) {
-      setText(this.says, `No sweep: powers are 1 to ${MOST_POWERS} whole numbers of watt up to ${hob.requested_power_max_w}, with commas between them.`);
+      setText(this.says, `No sweep: powers are 1 to ${MAX_POWERS} whole numbers of watt up to ${hob.requested_power_max_w}, with commas between them.`);
       return;
     }
     await this.#carryOut(() => heatOrAsk(this.context, { command: "sweep", powers_w }));
@@ -113,6 +113,6 @@ export class Acts {
  */
 export function powersOf(text, most_w) {
   const powers = text.split(/[,;\s]+/).filter(Boolean).map(Number);
-  const good = powers.length >= 1 && powers.length <= MOST_POWERS && powers.every((w) => Number.isInteger(w) && w > 0 && w <= most_w);
+  const good = powers.length >= 1 && powers.length <= MAX_POWERS && powers.every((w) => Number.isInteger(w) && w > 0 && w <= most_w);
   return good ? powers : null;
 }

@@ -2,7 +2,7 @@
 /** Marks on plots beside their curves: levels, and points with error bars. */
 
 /** Points of the network keep so much distance, in device pixels, so that bars can be told apart. */
-const LEAST_DISTANCE = 3;
+const MIN_DISTANCE = 3;
 
 /**
  * A limit as a dotted line.
@@ -42,7 +42,7 @@ export function bars(u, theme, points) {
     const value = points.value[k];
     if (value === null || at < min || at > max) continue;
     const x = u.valToPos(at, "x", true);
-    if (x - before < LEAST_DISTANCE * px) continue;
+    if (x - before < MIN_DISTANCE * px) continue;
     before = x;
     const y = u.valToPos(value, "y", true);
     if (points.pass[k]) {

@@ -12,7 +12,7 @@ const WIDTH = 300;
 const HEIGHT = 90;
 
 /** Least that the axis spans, in kelvin: noise is not a curve. */
-const LEAST_K = 20;
+const MIN_K = 20;
 
 /**
  * @typedef {{since_ms: number, rise_k: number, sigma_k: number, prior_k: number, prior_sigma_k: number, lift_mm: number, lift_sigma_mm: number,
@@ -103,7 +103,7 @@ export function outline(points) {
   const first_ms = points[0].at_ms;
   const span_ms = Math.max(1, points[points.length - 1].at_ms - first_ms);
   const least = Math.min(0, ...points.map((p) => p.rise_k));
-  const most = Math.max(least + LEAST_K, ...points.map((p) => p.rise_k + p.sigma_k));
+  const most = Math.max(least + MIN_K, ...points.map((p) => p.rise_k + p.sigma_k));
   const at = (/** @type {PotPoint} */ p, /** @type {number} */ k) => {
     const inside = Math.min(most, Math.max(least, k));
     return `${((WIDTH * (p.at_ms - first_ms)) / span_ms).toFixed(1)},${((HEIGHT * (most - inside)) / (most - least)).toFixed(1)}`;

@@ -10,7 +10,7 @@
 export const CAPACITY = 6000;
 
 /** Most results of the network that are kept. */
-const MOST_RESULTS = 4000;
+const MAX_RESULTS = 4000;
 
 const QUANTITIES = /** @type {const} */ (["power_w", "r_ohm", "l_h", "f_sw_hz"]);
 
@@ -109,8 +109,8 @@ export class TrendColumns {
     results.r_sigma.push(result.sigma_r_pct ?? null);
     results.l_sigma.push(result.sigma_l_pct ?? null);
     results.pass.push(result.pass);
-    if (results.at_s.length > MOST_RESULTS * 1.1) {
-      const drop = results.at_s.length - MOST_RESULTS;
+    if (results.at_s.length > MAX_RESULTS * 1.1) {
+      const drop = results.at_s.length - MAX_RESULTS;
       for (const list of Object.values(results)) list.splice(0, drop);
     }
   }

@@ -6,11 +6,11 @@ import { Plot } from "../plot.js";
 import { bars, level } from "./marks.js";
 
 /** Least height of each, in CSS pixels, and what stands around it. */
-const LEAST_HEIGHT = 140;
+const MIN_HEIGHT = 140;
 const HEAD = 34;
 
 /** All five in the window where they have a column of their own (css/live.css). */
-const height = () => (innerWidth < 1900 ? LEAST_HEIGHT : Math.max(LEAST_HEIGHT, (innerHeight - 160) / 5 - HEAD));
+const height = () => (innerWidth < 1900 ? MIN_HEIGHT : Math.max(MIN_HEIGHT, (innerHeight - 160) / 5 - HEAD));
 
 export class TrendPlots {
   /**

@@ -29,7 +29,7 @@ const RESULTS_MS = 2000;
 const LIVE_MS = 200;
 
 /** Most intervals that wait for a history. */
-const MOST_MEANWHILE = 500;
+const MAX_MEANWHILE = 500;
 
 const KEY = "ihd-trend-seconds";
 
@@ -143,7 +143,7 @@ export class Trends {
   #telemetry(event) {
     const one = event.devices[this.context.device];
     if (!one || this.view) return;
-    if (this.asking && this.meanwhile.length < MOST_MEANWHILE) this.meanwhile.push([event.at_ms, one]);
+    if (this.asking && this.meanwhile.length < MAX_MEANWHILE) this.meanwhile.push([event.at_ms, one]);
     this.columns.append(event.at_ms, one);
   }
 

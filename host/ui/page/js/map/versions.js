@@ -14,7 +14,7 @@ import { percent } from "./words.js";
 /** @typedef {{version: number, state: string, at_ms: number, origin: string, why: string, blob: number[]}} StoredLookup */
 
 /** Most versions in the table. */
-const MOST_ROWS = 200;
+const MAX_ROWS = 200;
 
 /** What the words of the store mean, for people. */
 const STATES = /** @type {Record<string, string>} */ ({
@@ -56,10 +56,10 @@ export function versions(context, view) {
     element,
     show(rows, shown, reference, onDevice) {
       const all = withPrior(rows);
-      const more = all.length - 1 - MOST_ROWS;
+      const more = all.length - 1 - MAX_ROWS;
       older.hidden = more <= 0;
       setText(older, `${more} older versions are not listed; the choices above the map have them.`);
-      if (more > 0) all.splice(MOST_ROWS, more);
+      if (more > 0) all.splice(MAX_ROWS, more);
       // A table that is drawn anew would lose the focus: only where something is another one.
       const now = JSON.stringify([all.map((r) => [r.version, r.state, r.at_ms]), shown?.version, reference?.version, onDevice, context.session.role]);
       if (now === drawn) return;

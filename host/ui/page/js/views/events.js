@@ -5,7 +5,7 @@ import { fill } from "../choice.js";
 import { append, h, setText } from "../dom.js";
 import { csv, downloadCsv, fileName } from "../export.js";
 import { dateTime, isoUtc } from "../format.js";
-import { fromNotice, isAlarm, matches, MOST_OF_PAGE, older, withNewest, withOlder } from "../journal.js";
+import { fromNotice, isAlarm, matches, MAX_OF_PAGE, older, withNewest, withOlder } from "../journal.js";
 import { Newest } from "../newest.js";
 
 /** Entries of a page. */
@@ -215,7 +215,7 @@ class EventsView {
       const before = this.entries.length;
       this.entries = withOlder(this.entries, page);
       this.ended = page.length < from.limit;
-      if (this.entries.length > before || this.ended || from.limit >= MOST_OF_PAGE) break;
+      if (this.entries.length > before || this.ended || from.limit >= MAX_OF_PAGE) break;
     }
     this.show();
     this.context.announce(`${this.entries.length} entries loaded`);
