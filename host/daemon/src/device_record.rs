@@ -212,6 +212,7 @@ impl DeviceRecord {
             sweep_left_w: inner.sweep_left_w.clone(),
             recording: self.recorder.path().map(|path| path.display().to_string()),
             recording_now: self.recorder.active(),
+            recording_failure: self.recorder.failure().map(|why| printable(&why)),
             connections: inner.connections,
             frames_beyond: inner.frames_beyond,
         }

@@ -185,6 +185,9 @@ pub struct DeviceReport {
     pub recording: Option<String>,
     /// Recording that is armed or running; `None` without one.
     pub recording_now: Option<ActiveRecording>,
+    /// Reason for which the last recording failed; `None` if it has not.
+    #[serde(default)]
+    pub recording_failure: Option<String>,
     /// Temperature rise of its pot since it was put on; `None` if unknown.
     #[serde(default)]
     pub pot_temperature: Option<PotTemperature>,

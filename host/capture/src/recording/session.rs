@@ -172,6 +172,7 @@ impl RecordingSession {
         if state.device.is_none() {
             return Err("the device is not connected".to_owned());
         }
+        state.failure = None;
         if settings.trigger != Trigger::Now {
             let before = match settings.pre_trigger_s {
                 0.0 => String::new(),
@@ -312,6 +313,11 @@ impl RecordingSession {
             file,
             since_s: since.elapsed().as_secs_f64(),
         })
+    }
+
+    /// Returns the reason for which the last recording failed; `None` if it has not.
+    pub fn failure(&self) -> Option<String> {
+        self.0.lock().failure.clone()
     }
 
     /// Returns the files that are not complete.

@@ -77,13 +77,16 @@ impl Shared {
         let begins_at = before.first().map_or(at, |first| first.at);
         recording.path = (self.name)(recording.part);
         let path = recording.path.clone();
-        let failed = |why: String| RecordingStatus {
-            phase: RecordingPhase::Failed,
-            text: why,
-            file: Some(path.clone()),
+        let failed = |state: &mut SessionState, why: String| {
+            state.failure = Some(why.clone());
+            RecordingStatus {
+                phase: RecordingPhase::Failed,
+                text: why,
+                file: Some(path.clone()),
+            }
         };
         let Some((hello, front_end)) = state.device.clone() else {
-            return failed("the device is not connected".to_owned());
+            return failed(state, "the device is not connected".to_owned());
         };
         let simulated = self.options.simulated_clock;
         let notes = match (simulated, recording.settings.trigger) {
@@ -103,7 +106,7 @@ impl Shared {
         };
         let (shared, written) = (Arc::downgrade(self), path.clone());
         match RecordingWriter::begin(start, move |ended| on_file_end(&shared, &written, ended)) {
-            Err(why) => failed(why),
+            Err(why) => failed(state, why),
             Ok(writer) => {
                 recording.writer = Some(writer);
                 state.phase = Phase::Recording(recording);
@@ -167,6 +170,9 @@ fn on_file_end(shared: &Weak<Shared>, path: &Path, ended: &Result<String, String
     {
         let mut state = shared.lock();
         state.finishing.retain(|file| file != path);
+        if let Err(why) = ended {
+            state.failure = Some(why.clone());
+        }
         if let Phase::Recording(recording) = &state.phase
             && recording.path == path
             && recording.writer.is_some()

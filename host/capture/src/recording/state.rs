@@ -28,6 +28,8 @@ pub struct SessionState {
     pub phase: Phase,
     /// Files that receive no more data and are not complete yet.
     pub finishing: Vec<PathBuf>,
+    /// Reason for which the last recording failed; `None` if it has not.
+    pub failure: Option<String>,
 }
 
 /// Phase of a session.
@@ -70,6 +72,8 @@ impl SessionState {
             && !writer.write(chunk.clone())
         {
             // The writer's thread publishes the reason.
+            let path = recording.path.clone();
+            self.finishing.push(path);
             self.phase = Phase::Idle;
         }
     }

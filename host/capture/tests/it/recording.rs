@@ -616,6 +616,7 @@ fn a_full_disk_ends_the_recording_and_not_the_link() {
     let failed = bench.ended();
     assert_eq!(failed.phase, RecordingPhase::Failed);
     assert!(failed.text.contains("No space left"), "{failed:?}");
+    assert_eq!(bench.recorder.failure(), Some(failed.text));
     assert_eq!(bench.recorder.active(), None);
     // What was written until then can be read, and the link goes on.
     let mut session = SessionReader::open(&path).unwrap();

@@ -106,6 +106,7 @@ impl Direct {
             sweep_left_w: Vec::new(),
             recording: None,
             recording_now: None,
+            recording_failure: None,
             pot_temperature: None,
             connections: 1,
             frames_beyond: 0,

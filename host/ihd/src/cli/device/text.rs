@@ -140,7 +140,11 @@ fn of_report(r: &DeviceReport) -> String {
     match (&r.recording, &r.recording_now) {
         (Some(file), _) => line("recording", file.clone()),
         (None, Some(now)) => line("recording", format!("waits for {}", now.settings.trigger)),
-        (None, None) => {}
+        (None, None) => {
+            if let Some(why) = &r.recording_failure {
+                line("recording", format!("failed: {why}"));
+            }
+        }
     }
     text
 }
@@ -200,6 +204,7 @@ mod tests {
             sweep_left_w: vec![],
             recording: Some(evil.into()),
             recording_now: None,
+            recording_failure: Some(evil.into()),
             pot_temperature: None,
             connections: 0,
             frames_beyond: 0,

@@ -3,14 +3,14 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use ihd_api::ApiClient;
 use ihd_capture::recording::RecordSettings;
-use ihd_model::Command;
+use ihd_model::{Command, CommandReply};
 use serde_json::json;
 
 use super::NothingRecorded;
@@ -37,6 +37,41 @@ pub(super) fn record(
     let stop = interrupt::flag().context("cannot catch ^C")?;
     let before: BTreeSet<String> = files(client, name)?.into_iter().map(|f| f.0).collect();
     let began = client.command(name, &Command::RecordStart(*settings))?;
+    let watched = watch(client, name, &began, stop, json);
+    if watched.is_err() || stop.load(Ordering::Relaxed) {
+        // If it has ended by itself, there is nothing to stop.
+        let _ = client.command(name, &Command::RecordStop);
+    }
+    watched?;
+    let recorded = complete(client, name, &before)?;
+    if let Some(why) = client.device(name)?.recording_failure {
+        bail!(
+            "{name}: the recording failed: {why}. {}",
+            left_text(&recorded)
+        );
+    }
+    let shown = match out {
+        None => {
+            let folder = began
+                .file
+                .as_deref()
+                .and_then(|file| Path::new(file).parent());
+            let at = |file: &String| folder.map_or_else(|| file.into(), |f| f.join(file));
+            recorded.iter().map(at).collect()
+        }
+        Some(out) => download(client, &recorded, out)?,
+    };
+    print(&shown, json)
+}
+
+/// Waits until the recording has ended, or for Ctrl-C.
+fn watch(
+    client: &ApiClient,
+    name: &str,
+    began: &CommandReply,
+    stop: &AtomicBool,
+    json: bool,
+) -> Result<()> {
     if !json {
         match &began.file {
             Some(file) => say!("recording into {}; ^C ends it", one_line(file))?,
@@ -55,23 +90,18 @@ pub(super) fn record(
             say!("its trigger came: recording into {}", one_line(file))?;
         }
     }
-    if stop.load(Ordering::Relaxed) {
-        // If it has ended by itself, there is nothing to stop.
-        let _ = client.command(name, &Command::RecordStop);
+    Ok(())
+}
+
+/// Text of what a failed recording has left.
+fn left_text(recorded: &[String]) -> String {
+    match recorded {
+        [] => "Nothing was recorded".to_owned(),
+        files => format!(
+            "What was written until then is in the store's folder recordings: {}",
+            files.join(", ")
+        ),
     }
-    let recorded = complete(client, name, &before)?;
-    let shown = match out {
-        None => {
-            let folder = began
-                .file
-                .as_deref()
-                .and_then(|file| Path::new(file).parent());
-            let at = |file: &String| folder.map_or_else(|| file.into(), |f| f.join(file));
-            recorded.iter().map(at).collect()
-        }
-        Some(out) => download(client, &recorded, out)?,
-    };
-    print(&shown, json)
 }
 
 /// Recordings of a device, each with `true` if it is complete.

@@ -1,6 +1,6 @@
 //! Commands through the daemon.
 
-use super::processes::{Kitchen, heated};
+use super::processes::{Kitchen, command, heated};
 
 fn asked_w(report: &serde_json::Value) -> u64 {
     report["asked_by_daemon_w"].as_u64().unwrap()
@@ -163,6 +163,27 @@ fn lookups_are_shown_and_a_reset_is_carried_out() {
     let (code, _, stderr) = kitchen.device(&["bench", "lookup", "push", file.to_str().unwrap()]);
     assert_eq!(code, 1, "{stderr}");
     assert!(stderr.contains("is no lookup"), "{stderr}");
+}
+
+/// A recording whose file cannot be made when its trigger comes.
+#[test]
+fn a_recording_that_fails_in_the_daemon_fails_the_command() {
+    let kitchen = Kitchen::start();
+    let recordings = kitchen.dir.path().join("store/recordings");
+    std::os::unix::fs::symlink(kitchen.dir.path().join("nowhere"), recordings).unwrap();
+    let config = kitchen.dir.path().join("ihd.toml");
+    let trigger = "level:power>300";
+    let recording = std::thread::spawn(move || {
+        command(
+            &config,
+            &["record", "--device", "bench", "--trigger", trigger],
+        )
+    });
+    kitchen.until("it waits", |report| report["recording_now"].is_object());
+    let _power = kitchen.in_the_background(&["bench", "power", "800"]);
+    let (code, stdout, stderr) = recording.join().unwrap();
+    assert_eq!(code, 1, "{stdout}{stderr}");
+    assert!(stderr.contains("the recording failed"), "{stderr}");
 }
 
 #[test]
