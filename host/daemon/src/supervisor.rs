@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ihd_capture::recording::{RecordingSession, RecordingStatus, name_of};
+use ihd_capture::recording::{RecordingOptions, RecordingSession, RecordingStatus, name_of};
 use ihd_link::{DeviceSpec, usb};
 use ihd_model::{DeviceState, EventKind, RecordingPhase};
 use tokio::sync::{mpsc, watch};
@@ -18,7 +18,7 @@ use crate::device_record::DeviceRecord;
 use crate::event_bus::EventBus;
 use crate::locking::lock;
 use crate::printable::printable;
-use crate::recording::file_name;
+use crate::recording::{file_name, free_bytes};
 use crate::switching_off::switch_off;
 
 /// Capacity of a device task's request queue.
@@ -141,14 +141,19 @@ fn recorder(device: &str, context: &Context, event_bus: &EventBus) -> RecordingS
     let machine = context.machine.clone();
     let named = move |_| folder.join(file_name(&name, machine.now_ms()));
     let (device, event_bus) = (device.to_owned(), event_bus.clone());
-    RecordingSession::new(named, move |RecordingStatus { phase, text, file }| {
+    let options = RecordingOptions {
+        free_bytes: Some(free_bytes),
+        ..RecordingOptions::default()
+    };
+    let publish = move |RecordingStatus { phase, text, file }| {
         let (text, file) = (printable(&text), file.as_deref().map(name_of));
         match phase {
             RecordingPhase::Failed => tracing::warn!(device, file, text, "recording"),
             _ => tracing::info!(device, file, text, "recording"),
         }
         event_bus.publish(&device, EventKind::Recording { phase, text, file });
-    })
+    };
+    RecordingSession::with_options(options, named, publish)
 }
 
 /// Runs a device's task and, after a panic, switches the hob off and restarts the task.

@@ -24,3 +24,4 @@ pub use session::{
 };
 pub use shared::{RecordingOptions, RecordingSink, RecordingStatus};
 pub use under_way::RecordingLimit;
+pub use writer::FreeBytes;

@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 use ihd_link::FrameSink;
-use ihd_model::{RecordingPhase, Trigger};
+use ihd_model::{RecordSettings, RecordingPhase, Trigger};
 
 use super::ring::ByteChunk;
 use super::state::{Phase, SessionState};
 use super::under_way::OngoingRecording;
-use super::writer::{FileStart, RecordingWriter};
+use super::writer::{FileStart, FreeBytes, RecordingWriter};
 
 /// Function that names the next file; the number is 1 for the first one of a recording.
 type Name = dyn Fn(u32) -> PathBuf + Send + Sync;
@@ -29,6 +29,8 @@ pub struct RecordingOptions {
     /// `true` if a limit that is reached is only reported ([`RecordingSession::progress`]), so that the file also holds how the
     /// owner leaves the device; `false` if it ends the recording.
     pub ends_by_owner: bool,
+    /// Free room of the disk: too little ends a recording without a limit of its own. `None` if it is not looked at.
+    pub free_bytes: Option<FreeBytes>,
 }
 
 /// Status of a recording, as published.
@@ -88,6 +90,12 @@ impl Shared {
         let Some((hello, front_end)) = state.device.clone() else {
             return failed(state, "the device is not connected".to_owned());
         };
+        let RecordSettings {
+            duration_s,
+            max_bytes,
+            ..
+        } = recording.settings;
+        let is_unlimited = duration_s.is_none() && max_bytes.is_none();
         let simulated = self.options.simulated_clock;
         let notes = match (simulated, recording.settings.trigger) {
             (true, Trigger::Now) => BTreeMap::new(),
@@ -103,6 +111,7 @@ impl Shared {
             before,
             mid_frame: state.mid_frame,
             wall_clock_flush: !simulated,
+            free_bytes: self.options.free_bytes.filter(|_| is_unlimited),
         };
         let (shared, written) = (Arc::downgrade(self), path.clone());
         match RecordingWriter::begin(start, move |ended| on_file_end(&shared, &written, ended)) {

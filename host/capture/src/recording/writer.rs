@@ -20,6 +20,15 @@ const MAX_WAITING: usize = 16 << 20;
 /// Time limit for a chunk to be written.
 const WRITTEN_TIMEOUT: Duration = Duration::from_secs(60);
 
+/// Least free room, in bytes, on the disk of a recording without a limit of its own.
+const MIN_FREE_BYTES: u64 = 500_000_000;
+
+/// Bytes written between two looks at the free room.
+const ROOM_CHECK_BYTES: usize = 4 << 20;
+
+/// Function that returns the free bytes of a folder's disk; `None` if they are not known.
+pub type FreeBytes = fn(&Path) -> Option<u64>;
+
 /// Path, metadata and pre-trigger of a new file.
 pub struct FileStart {
     /// Path of the file.
@@ -38,6 +47,8 @@ pub struct FileStart {
     pub mid_frame: bool,
     /// `true` to flush by the system's clock, too.
     pub wall_clock_flush: bool,
+    /// Free room of the disk, below [`MIN_FREE_BYTES`] of which the file ends; `None` if it is not looked at.
+    pub free_bytes: Option<FreeBytes>,
 }
 
 /// Progress of a file.
@@ -204,7 +215,12 @@ fn write(
         before,
         mid_frame,
         wall_clock_flush,
+        free_bytes,
     } = start;
+    let has_room = || {
+        let free = free_bytes.and_then(|free| free(path.parent().unwrap_or(&path)));
+        free.is_none_or(|bytes| bytes >= MIN_FREE_BYTES)
+    };
     let file = create(&path, &hello, &front_end, notes).map_err(|e| e.to_string())?;
     let mut file = file.starting_at(at);
     if wall_clock_flush {
@@ -222,10 +238,18 @@ fn write(
         file.write(&chunk).map_err(text)?;
     }
     pending.update(|progress| progress.size = Some(size));
+    let mut unchecked = ROOM_CHECK_BYTES;
     let why = loop {
+        if unchecked >= ROOM_CHECK_BYTES {
+            if !has_room() {
+                break no_room_text();
+            }
+            unchecked = 0;
+        }
         match received.recv() {
             Ok(Job::Chunk(chunk)) => {
                 file.write(&chunk).map_err(text)?;
+                unchecked += chunk.bytes.len();
                 pending.update(|progress| progress.waiting -= chunk.bytes.len());
             }
             Ok(Job::End(why)) => break why,
@@ -242,6 +266,13 @@ fn write(
         )),
         false => Ok(why),
     }
+}
+
+fn no_room_text() -> String {
+    format!(
+        "less than {} MB are free on its disk: free some, or give the recording a duration or a size",
+        MIN_FREE_BYTES / 1_000_000
+    )
 }
 
 /// Creates a file. If that fails, no file is left.

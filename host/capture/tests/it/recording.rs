@@ -14,7 +14,7 @@ use ihd_capture::recording::{
     Quantity, RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
     RecordingStatus, StartedRecording, Trigger,
 };
-use ihd_link::{Client, DeviceEvent};
+use ihd_link::{Client, DeviceEvent, FrameSink as _};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::messages::AnyMessage;
 use ihd_sim::behavioural::PotKind;
@@ -494,6 +494,7 @@ fn recorded_by_its_owner() -> Vec<u8> {
     let options = RecordingOptions {
         simulated_clock: true,
         ends_by_owner: true,
+        free_bytes: None,
     };
     let session = RecordingSession::with_options(options, move |_| named.clone(), |_| ());
     let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
@@ -563,6 +564,48 @@ fn a_file_that_cannot_be_made_is_said_and_ends_it() {
     assert!(why.contains("a.mcap"), "{why}");
     assert_eq!(bench.ended().phase, RecordingPhase::Failed);
     assert_eq!(bench.recorder.active(), None);
+}
+
+#[test]
+fn without_a_limit_it_ends_before_its_disk_is_full() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let statuses: Arc<Mutex<Vec<RecordingStatus>>> = Arc::default();
+    let published = Arc::clone(&statuses);
+    // Room for the first four megabytes, and then too little.
+    static LOOKS: AtomicU32 = AtomicU32::new(0);
+    let options = RecordingOptions {
+        free_bytes: Some(|_| match LOOKS.fetch_add(1, Ordering::Relaxed) {
+            0 => Some(500_000_000),
+            _ => Some(499_999_999),
+        }),
+        ..RecordingOptions::default()
+    };
+    let recorder = RecordingSession::with_options(
+        options,
+        move |_| path.clone(),
+        move |t| published.lock().unwrap().push(t),
+    );
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let client = Client::connect(Box::new(hob.clone())).unwrap();
+    let at = client.clock();
+    let mut sink = recorder.connected(client.hello(), client.front_end(), at);
+    let mut bench = Bench {
+        hob,
+        client,
+        recorder,
+        statuses,
+        dir,
+    };
+    bench.start(RecordSettings::default()).unwrap();
+    for _ in 0..64 {
+        sink.received(at, &[0; 1 << 16]).unwrap();
+    }
+    let ended = bench.ended();
+    assert_eq!(ended.phase, RecordingPhase::Ended);
+    assert!(ended.text.contains("less than 500 MB"), "{ended:?}");
+    assert_eq!(LOOKS.load(Ordering::Relaxed), 2);
+    assert_eq!(bench.recorder.failure(), None);
 }
 
 /// A file system of its own, of a megabyte; none where this may not be had.

@@ -17,6 +17,20 @@ const TIMESTAMP: usize = 24;
 /// Longest name of a recording, in bytes.
 const MAX_NAME: usize = 200;
 
+/// Returns the free bytes of a folder's disk; `None` if they are not known, as on Windows.
+pub fn free_bytes(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let disk = nix::sys::statvfs::statvfs(folder).ok()?;
+        Some(disk.blocks_available() as u64 * disk.fragment_size() as u64)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
+}
+
 /// Returns the file name of a recording that begins at `at_ms`, as `bench-2026-11-22T08-30-00.123.mcap`.
 pub fn file_name(device: &str, at_ms: i64) -> String {
     let time = jiff::Timestamp::from_millisecond(at_ms)

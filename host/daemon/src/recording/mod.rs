@@ -3,6 +3,6 @@
 mod files;
 mod tables;
 
-pub use files::{file_name, is_plain_name, list};
+pub use files::{file_name, free_bytes, is_plain_name, list};
 pub use ihd_capture::exports::recording::RecordingExportError;
 pub use tables::{RecordingTable, table};

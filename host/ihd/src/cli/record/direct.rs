@@ -129,6 +129,7 @@ impl DirectRecording {
         let options = RecordingOptions {
             simulated_clock: self.simulated,
             ends_by_owner: true,
+            free_bytes: None,
         };
         // A second file would follow a reconnect, and this link is opened once.
         let out = self.out.clone();
