@@ -1,5 +1,7 @@
 //! Learning from any heating, kept over a restart.
 
+use std::time::Duration;
+
 use ihd_model::{DeviceState, EventKind};
 use ihd_pinn::PinnConfig;
 use ihd_store::{LookupState, ResultFilter, Store};
@@ -32,12 +34,15 @@ async fn what_the_panel_heats_is_learned_pushed_and_kept_over_a_restart() {
     .await;
     assert!(report.lookup.observed_cells > 0);
     assert_eq!(report.asked_by_daemon_w, 0, "it only watched");
-    let results = daemon
-        .view()
-        .results(ResultFilter::default())
-        .await
-        .unwrap();
-    assert!(results.len() >= 3);
+    // A result is counted before it is stored.
+    let results = loop {
+        let results = daemon.view().results(ResultFilter::default());
+        let results = results.await.unwrap();
+        if results.len() >= 3 {
+            break results;
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    };
     // The simulated pot has 2-3 ohm and some 20 microhenry.
     let passed = results.iter().find(|r| r.pass).unwrap();
     assert!(
