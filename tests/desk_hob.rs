@@ -56,18 +56,22 @@ pub struct DeskHob {
     ears: Deframer,
     to_device: VecDeque<u8>,
     to_host: VecDeque<u8>,
-    board: DeskBoard,
+    /// Its board.
+    pub board: DeskBoard,
 }
 
-/// Board of a desk hob: nothing but a program that can restart.
+/// Board of a desk hob: nothing, or a program that can restart.
 #[derive(Default)]
-struct DeskBoard {
-    has_restarted: bool,
+pub struct DeskBoard {
+    /// The program can restart.
+    pub can_restart: bool,
+    /// It has ended for a restart.
+    pub has_restarted: bool,
 }
 
 impl BoardServices for DeskBoard {
     fn has_program(&self, into: Program) -> bool {
-        into == Program::Firmware
+        self.can_restart && into == Program::Firmware
     }
     fn restart(&mut self, _: Program) {
         self.has_restarted = true;
@@ -145,11 +149,6 @@ impl DeskHob {
             self.to_device.extend(frame.drain(..));
         }
         self.to_device.extend(frame);
-    }
-
-    /// Returns `true` once the firmware has ended for a restart.
-    pub fn has_restarted(&self) -> bool {
-        self.board.has_restarted
     }
 
     /// Bytes that have arrived at the host.
