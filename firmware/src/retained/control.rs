@@ -18,7 +18,7 @@ pub struct RetainedControl {
 
 impl RetainedControl {
     const LOCKED_OUT: u8 = 1 << 7;
-    const KEY_LOCKED: u8 = 1 << 6;
+    const KEY_LOCKED: u8 = 1 << 5;
     const TRIES_MASK: u8 = Self::KEY_LOCKED - 1;
     /// Level of keeping warm: above every level of power.
     pub const KEEP_WARM: u8 = 10;

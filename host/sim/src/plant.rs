@@ -129,13 +129,10 @@ impl Plant {
         (self.comparator_a, self.comparator_delay_s) = (trip_a, delay_s);
     }
 
-    /// Returns `true` while the comparator holds the bridge open, and once if it has tripped and the drive opens the bridge too.
+    /// Returns `true` while the comparator holds open what the drive closes, and once if it had tripped before the drive opened.
     pub fn take_trip(&mut self) -> bool {
-        let is_tripped = self.is_tripped();
-        if self.drive.bridge == Bridge::Open {
-            self.tripped_s = None;
-        }
-        std::mem::take(&mut self.has_tripped) || is_tripped
+        let is_held = self.is_tripped() && self.drive.bridge != Bridge::Open;
+        std::mem::take(&mut self.has_tripped) || is_held
     }
 
     /// Returns `true` while the comparator holds both switches open.
@@ -257,9 +254,16 @@ impl Plant {
         match drive.bridge {
             Bridge::Open => {
                 self.open_since_s = self.open_since_s().or(Some(self.t_s()));
-                self.has_tripped |= self.tripped_s.take().is_some();
+                let has_tripped = self.tripped_s.take().is_some();
+                self.has_tripped |= has_tripped && self.drive.bridge != Bridge::Open;
             }
-            Bridge::LowerOn | Bridge::Switching => self.open_since_s = None,
+            Bridge::LowerOn | Bridge::Switching => {
+                // The first switch that closes clears a trip with both open.
+                if self.drive.bridge == Bridge::Open {
+                    self.tripped_s = None;
+                }
+                self.open_since_s = None;
+            }
         }
         self.drive = drive;
     }

@@ -18,7 +18,7 @@ use ihd_firmware::sense::mains::{ZeroCrossingDetector, mains_place};
 use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair};
 
-use super::registers::{adc, bridge, dma, sampling_watchdog};
+use super::registers::{adc, bridge, dma, faults, sampling_watchdog};
 use crate::board::sampling::SampleSource;
 
 /// Channels of the pins in the module's table.
@@ -154,6 +154,9 @@ impl Adc {
             return;
         }
         if drive.bridge == Bridge::Open {
+            if self.drive.bridge != Bridge::Open {
+                faults::keep_trip();
+            }
             bridge::open();
         }
         if drive.f_sw_hz != self.drive.f_sw_hz || share != self.share {

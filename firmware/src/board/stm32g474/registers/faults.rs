@@ -1,5 +1,7 @@
 //! Faults that open the bridge without software, and the flags that they leave.
 
+use core::sync::atomic::{AtomicBool, Ordering};
+
 use embassy_stm32::pac;
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::sampling::path::SamplingPath;
@@ -104,16 +106,13 @@ pub fn clear() {
 }
 
 /// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT). The first
-/// switch that closes clears the flags of an earlier fault. A trip of the comparators counts, once, even if the path has opened the
-/// bridge since, as at the end of a pot probe. The thread has the path only with interrupts masked, so no block closes a switch between
-/// the readings of drive and flags.
+/// switch that closes clears the flags of an earlier fault. A trip counts, once, even if the path has opened the bridge since, as at
+/// the end of a pot probe; what trips with both switches open does not. The thread has the path only with interrupts masked, so no block
+/// closes a switch between the readings of drive and flags.
 pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault> {
+    let had_tripped = HAD_TRIPPED.swap(false, Ordering::Relaxed);
     if path.drive().bridge == Bridge::Open {
-        let has_tripped = comparators_tripped().contains(&true);
-        return has_tripped.then(|| {
-            clear();
-            Fault::HARDWARE_OVER_CURRENT
-        });
+        return had_tripped.then_some(Fault::HARDWARE_OVER_CURRENT);
     }
     let isr = pac::HRTIM1.isr().read();
     if isr.sysflt() {
@@ -125,6 +124,17 @@ pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault
         Some(Fault::SAMPLES_LOST)
     } else {
         None
+    }
+}
+
+/// A comparator had tripped before the path opened the bridge.
+static HAD_TRIPPED: AtomicBool = AtomicBool::new(false);
+
+/// Keeps a trip of the comparators for [`hardware_fault`]; to be called before the path opens the bridge.
+#[inline(always)]
+pub fn keep_trip() {
+    if comparators_tripped().contains(&true) {
+        HAD_TRIPPED.store(true, Ordering::Relaxed);
     }
 }
 
