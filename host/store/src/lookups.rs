@@ -5,7 +5,7 @@ use std::fmt;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::grid::{CELLS, CURRENTS, FREQUENCIES};
 use rusqlite::types::{FromSql, FromSqlError, FromSqlResult, ValueRef};
-use rusqlite::{Connection, OptionalExtension, Row, Transaction, params};
+use rusqlite::{Connection, OptionalExtension, Row, ToSql, Transaction, params};
 use serde::Serialize;
 
 use super::text::printable;
@@ -176,6 +176,24 @@ pub(crate) fn rows(connection: &Connection) -> rusqlite::Result<Vec<LookupRow>> 
     rows.collect()
 }
 
+/// Returns the lookups of the device with a value in a column of `devices`, oldest first: the active one, the pending one and the newest
+/// others.
+pub(crate) fn of_device(
+    connection: &Connection,
+    column: &str,
+    value: impl ToSql,
+) -> rusqlite::Result<Vec<LookupRow>> {
+    let sql = format!(
+        "{COLUMNS} WHERE lookups.id IN (
+           SELECT id FROM lookups WHERE device = (SELECT id FROM devices WHERE {column} = ?1)
+           ORDER BY state IN ('active', 'pending') DESC, id DESC LIMIT ?2)
+         ORDER BY lookups.id"
+    );
+    let mut statement = connection.prepare(&sql)?;
+    let rows = statement.query_map(params![value, MAX_LISTED], lookup_row)?;
+    rows.collect()
+}
+
 /// Returns the lookup of a version that is pending, or the newest one: after a reset of the device, versions count from 0 again. `None` for the
 /// version asks for the active lookup.
 pub(crate) fn one(
@@ -309,18 +327,7 @@ impl Store {
     /// # Errors
     /// Errors of the database.
     pub fn lookups(&self, device: DeviceId) -> Result<Vec<LookupRow>, StoreError> {
-        let sql = format!(
-            "{COLUMNS} WHERE lookups.id IN (
-               SELECT id FROM lookups WHERE device = ?1
-               ORDER BY state IN ('active', 'pending') DESC, id DESC LIMIT ?2)
-             ORDER BY lookups.id"
-        );
-        let read = || -> rusqlite::Result<Vec<LookupRow>> {
-            let mut statement = self.records().prepare(&sql)?;
-            let rows = statement.query_map([device, MAX_LISTED], lookup_row)?;
-            rows.collect()
-        };
-        read().map_err(self.failed("listing lookups"))
+        of_device(self.records(), "id", device).map_err(self.failed("listing lookups"))
     }
 }
 

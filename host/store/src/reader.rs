@@ -133,6 +133,14 @@ impl StoreReader {
         lookups::rows(&self.records).map_err(self.failed("listing lookups"))
     }
 
+    /// Returns the lookups of a device, oldest first, as [`Store::lookups`](super::Store::lookups) does.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn lookups_of(&self, device: &str) -> Result<Vec<LookupRow>, StoreError> {
+        lookups::of_device(&self.records, "name", device).map_err(self.failed("listing lookups"))
+    }
+
     /// Returns the newest lookup of a device of a version, the pending one first; for `None` the active one.
     ///
     /// # Errors

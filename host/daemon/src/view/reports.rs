@@ -62,12 +62,7 @@ impl View {
         if self.devices.get(device).is_none() {
             return Err(DaemonError::NoDevice(printable(device)));
         }
-        let name = device.to_owned();
-        let lookups = self.read(move |reader| {
-            let mut rows = reader.lookups()?;
-            rows.retain(|row| row.device == name);
-            Ok(rows)
-        });
-        lookups.await
+        let device = device.to_owned();
+        self.read(move |reader| reader.lookups_of(&device)).await
     }
 }

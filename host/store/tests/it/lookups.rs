@@ -144,6 +144,12 @@ fn old_lookups_are_deleted_but_never_the_one_in_use_nor_the_pending_one() {
     for device in [a, b] {
         assert_eq!(states(&store, device), kept);
     }
+    for (name, device) in [("a", a), ("b", b)] {
+        assert_eq!(
+            reader.lookups_of(name).unwrap(),
+            store.lookups(device).unwrap()
+        );
+    }
     let ends = (kept[0], kept[1], kept[300], kept[301]);
     let superseded = (past - 299, Superseded);
     assert_eq!(

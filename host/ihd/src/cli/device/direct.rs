@@ -196,8 +196,7 @@ impl Direct {
         let store = ihd_store::StoreReader::open(folder).context(
             "what was active before stands in the store: give its configuration with --config",
         )?;
-        let mut rows = store.lookups()?;
-        rows.retain(|row| row.device == self.name);
+        let rows = store.lookups_of(&self.name)?;
         let before = rows.iter().rev().find(|row| {
             row.state == ihd_store::LookupState::Superseded && row.version != on_device
         });
