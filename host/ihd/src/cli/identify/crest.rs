@@ -17,19 +17,23 @@ pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
     };
     let ranges: Vec<(usize, usize)> = t_s.iter().map(range).collect();
     let mut ends: Vec<usize> = ranges.iter().flat_map(|r| [r.0, r.1]).collect();
+    ends.push(segment.len());
     ends.sort_unstable();
     ends.dedup();
-    let all: f64 = sums(segment, &[segment.len()], |i| i).iter().sum();
-    let mean_a = all / segment.len().max(1) as f64;
-    let sums = sums(segment, &ends, |i| (i - mean_a) * (i - mean_a));
-    let sum_to = |end: usize| ends.binary_search(&end).map_or(0.0, |k| sums[k]);
-    let mean = |(from, to): (usize, usize)| (sum_to(to) - sum_to(from)) / (to - from).max(1) as f64;
+    let sums = sums(segment, &ends);
+    let sum_to = |end: usize| ends.binary_search(&end).map_or((0.0, 0.0), |k| sums[k]);
+    let offset_a = sum_to(segment.len()).0 / segment.len().max(1) as f64;
+    let mean = |(from, to): (usize, usize)| {
+        let ((i_from, ii_from), (i_to, ii_to)) = (sum_to(from), sum_to(to));
+        let count = (to - from).max(1) as f64;
+        (ii_to - ii_from - 2.0 * offset_a * (i_to - i_from)) / count + offset_a * offset_a
+    };
     ranges.into_iter().map(mean).collect()
 }
 
-/// Sums of `of` the current in ampere up to each of these indices, which ascend.
-fn sums(segment: &Segment, ends: &[usize], of: impl Fn(f64) -> f64) -> Vec<f64> {
-    let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), 0.0, Vec::new());
+/// Sums of the current in ampere, and of its square, up to each of these indices, which ascend.
+fn sums(segment: &Segment, ends: &[usize]) -> Vec<(f64, f64)> {
+    let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), (0.0, 0.0), Vec::new());
     for first in (0..=segment.len()).step_by(Samples::CHUNK) {
         let block = first..(first + Samples::CHUNK).min(segment.len());
         let samples = segment.i_a.block(block, &mut buffer);
@@ -38,7 +42,7 @@ fn sums(segment: &Segment, ends: &[usize], of: impl Fn(f64) -> f64) -> Vec<f64> 
                 out.push(sum);
             }
             let Some(i) = samples.get(k) else { break };
-            sum += of(*i);
+            sum = (sum.0 + i, sum.1 + i * i);
         }
     }
     out
