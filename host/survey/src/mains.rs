@@ -6,6 +6,8 @@
 
 mod fit;
 
+use std::ops::RangeInclusive;
+
 use serde::Serialize;
 
 pub use self::fit::PieceEnvelope;
@@ -56,7 +58,7 @@ impl Mains {
 const MAX_CROSSINGS: usize = 1_000_000;
 
 /// Range of specified frequencies, in hertz, at which a crossing is searched; a capture cannot show one of any other.
-const SPECIFIED_HZ: (f64, f64) = (1.0, 1e3);
+pub const SPECIFIED_HZ: RangeInclusive<f64> = 1.0..=1e3;
 
 /// Least share of the time that pieces cover for the search at any frequency.
 const MIN_COVERED: f64 = 0.8;
@@ -98,7 +100,7 @@ pub fn find(
     let specified_crossing_s = specified_crossing_s.filter(|t| t.is_finite());
     let seen = half_cycles >= MIN_HALF_CYCLES
         && modulation >= MIN_MODULATION
-        && specified_hz.is_none_or(|hz| (SPECIFIED_HZ.0..=SPECIFIED_HZ.1).contains(&hz));
+        && specified_hz.is_none_or(|hz| SPECIFIED_HZ.contains(&hz));
     let search = match half_cycles >= FREE_HALF_CYCLES {
         _ if coverage.is_paused => Search::NearNominal,
         true => Search::Free,

@@ -9,6 +9,7 @@ use ihd_capture::OpenOptions;
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
 use ihd_capture::formats::unit::Unit;
 use ihd_survey::Hints;
+use ihd_survey::mains::SPECIFIED_HZ;
 
 use super::simulate::quantity::{list, quantity};
 
@@ -90,7 +91,7 @@ fn switching_hz(text: &str) -> Result<f64, String> {
 
 /// Parses a frequency at which the survey looks for a zero crossing.
 fn mains_hz(text: &str) -> Result<f64, String> {
-    within(text, 1.0..=1e3, "of 1 Hz to 1 kHz")
+    within(text, SPECIFIED_HZ, "of 1 Hz to 1 kHz")
 }
 
 fn within(text: &str, range: RangeInclusive<f64>, what: &str) -> Result<f64, String> {

@@ -71,8 +71,8 @@ fn pieces_of_different_level_share_their_mains() {
     assert!((m.hz - 50.0).abs() < 0.3 && (m.zero_crossing_s - 2e-3).abs() < 0.1e-3);
 }
 
-/// As `ihd record` and a scope's segments give them: one half-cycle of several, for seconds. Every grid keeps within a hertz of its
-/// nominal frequency.
+/// One half-cycle of several, for seconds, which `ihd record` and a scope's segments give. Every grid keeps within a hertz of its nominal
+/// frequency.
 #[test]
 fn half_cycles_with_pauses_have_the_frequency_of_a_grid() {
     for hz in [50.0, 49.95, 60.02] {
