@@ -17,7 +17,7 @@ use crate::control::status::{Action, SamplingStatus};
 use crate::control::temperature::Temperatures;
 use crate::drive::bridge::Drive;
 use crate::limits::{BUS_MIN_DV, BUS_TRIP_DV, GIVE_UP_MS, RESUME_ABOVE_PERCENT};
-use crate::retained::control::RetainedControl;
+use crate::retained::control::{PanelSetting, RetainedControl};
 use crate::sampling::half_cycle::HalfCycle;
 use crate::sense::supply::SupplyScale;
 
@@ -148,10 +148,10 @@ impl Control {
         RetainedControl {
             locked_out: restart.is_locked_out(),
             tries_used: restart.tries_used(),
-            panel_level: if has_timer {
-                Some(0)
+            panel: if has_timer {
+                PanelSetting::OFF
             } else {
-                request.panel_level()
+                request.setting()
             },
             key_locked: request.is_key_locked(),
             unattended: self.parts.times.unattended.used_share(),
@@ -160,7 +160,7 @@ impl Control {
 
     /// Goes on with what was kept; a fault that is active then has been seen. To be called once, before anything else.
     pub fn restore(&mut self, kept: RetainedControl, status: &SamplingStatus) {
-        self.parts.request = PowerRequest::restored(kept.panel_level, kept.key_locked);
+        self.parts.request = PowerRequest::restored(kept.panel, kept.key_locked);
         self.parts.times = CookingTimes::restored(kept.unattended, status.now_ms);
         let (tries_used, locked_out) = (kept.tries_used, kept.locked_out);
         self.parts.restart = RestartPolicy::restored(tries_used, locked_out, status.now_ms);

@@ -10,7 +10,7 @@
 //! - Switching on at the panel after switching off there is what a person does to end a lock-out.
 
 use crate::limits::{KEEP_WARM_LEVEL, LEVELS};
-use crate::retained::control::RetainedControl;
+use crate::retained::control::PanelSetting;
 
 /// Touch of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,28 +23,6 @@ pub enum PanelEvent {
     KeyLock(bool),
     /// Switches off after so many minutes; 0 takes it back. Nothing while nothing is on.
     Timer(u8),
-}
-
-/// Setting of the panel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum PanelSetting {
-    #[default]
-    Untouched,
-    /// 0 is a person's off, which alone refuses the host.
-    Level(u8),
-    KeepWarm,
-}
-
-impl PanelSetting {
-    const OFF: Self = Self::Level(0);
-
-    fn level(self) -> Option<u8> {
-        match self {
-            Self::Untouched => None,
-            Self::Level(level) => Some(level),
-            Self::KeepWarm => Some(KEEP_WARM_LEVEL),
-        }
-    }
 }
 
 /// Request of a host, in watt.
@@ -81,14 +59,10 @@ pub enum PanelResult {
 }
 
 impl PowerRequest {
-    /// The requests after a reset: none, and the panel's level limits a host as before.
-    pub fn restored(panel_level: Option<u8>, key_locked: bool) -> Self {
+    /// The requests after a reset: none, and the panel's setting limits a host as before.
+    pub fn restored(setting: PanelSetting, key_locked: bool) -> Self {
         Self {
-            setting: match panel_level {
-                None => PanelSetting::Untouched,
-                Some(RetainedControl::KEEP_WARM) => PanelSetting::KeepWarm,
-                Some(level) => PanelSetting::Level(level.min(9)),
-            },
+            setting,
             key_locked,
             ..Self::default()
         }
@@ -180,18 +154,14 @@ impl PowerRequest {
         }
     }
 
-    /// The panel's setting, in force or not, as it outlives a reset; `None` if nobody has touched the panel.
-    pub fn panel_level(&self) -> Option<u8> {
-        match self.setting {
-            PanelSetting::Untouched => None,
-            PanelSetting::Level(level) => Some(level),
-            PanelSetting::KeepWarm => Some(RetainedControl::KEEP_WARM),
-        }
+    /// The panel's setting, in force or not, as it outlives a reset.
+    pub fn setting(&self) -> PanelSetting {
+        self.setting
     }
 
     /// Requested power, in watt.
     pub fn power_w(&self) -> u16 {
-        let panel_w = self.setting.level().map_or(u16::MAX, level_power_w);
+        let panel_w = level_of(self.setting).map_or(u16::MAX, level_power_w);
         match self.host {
             HostRequest::Power(host_w) => panel_w.min(host_w),
             HostRequest::Lost(host_w) if self.panel_requests => panel_w.min(host_w),
@@ -208,7 +178,7 @@ impl PowerRequest {
     /// The panel's level, [`KEEP_WARM_LEVEL`] for keeping warm; `None` until it is touched, and while its setting neither requests
     /// power nor limits a host's.
     pub fn level(&self) -> Option<u8> {
-        self.setting.level().filter(|_| self.is_setting_in_force())
+        level_of(self.setting).filter(|_| self.is_setting_in_force())
     }
 
     /// Returns `true` if what stands on the glass is to be kept warm.
@@ -223,6 +193,15 @@ impl PowerRequest {
     /// Returns `true` if the keys are locked.
     pub fn is_key_locked(&self) -> bool {
         self.key_locked
+    }
+}
+
+/// Level of power of a setting; `None` while the panel is untouched.
+fn level_of(setting: PanelSetting) -> Option<u8> {
+    match setting {
+        PanelSetting::Untouched => None,
+        PanelSetting::Level(level) => Some(level),
+        PanelSetting::KeepWarm => Some(KEEP_WARM_LEVEL),
     }
 }
 

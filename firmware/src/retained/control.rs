@@ -1,5 +1,42 @@
 //! State of control that outlives a reset: without it a restart over the link would end a lock-out.
 
+/// Setting of the panel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PanelSetting {
+    /// Nobody has touched the panel.
+    #[default]
+    Untouched,
+    /// Level of power, 1 to 9; 0 is a person's off, which alone refuses the host.
+    Level(u8),
+    /// Keeps warm what stands on the glass.
+    KeepWarm,
+}
+
+impl PanelSetting {
+    /// A person's off.
+    pub const OFF: Self = Self::Level(0);
+    /// Byte of [`PanelSetting::KeepWarm`]: above that of every level.
+    const KEEP_WARM: u8 = 11;
+
+    const fn to_byte(self) -> u8 {
+        match self {
+            Self::Untouched => 0,
+            Self::Level(level) => level + 1,
+            Self::KeepWarm => Self::KEEP_WARM,
+        }
+    }
+
+    /// A byte that no setting has is a person's off.
+    const fn from_byte(byte: u8) -> Self {
+        match byte {
+            0 => Self::Untouched,
+            1..Self::KEEP_WARM => Self::Level(byte - 1),
+            Self::KEEP_WARM => Self::KeepWarm,
+            _ => Self::OFF,
+        }
+    }
+}
+
 /// State of restart policy and panel that only a person or the loss of power ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RetainedControl {
@@ -7,9 +44,8 @@ pub struct RetainedControl {
     pub locked_out: bool,
     /// Starts after trips that are used up.
     pub tries_used: u8,
-    /// The panel's level, which limits a host: 0 refuses it, [`RetainedControl::KEEP_WARM`] keeps warm. `None` if nobody has
-    /// touched the panel.
-    pub panel_level: Option<u8>,
+    /// The panel's setting, which limits a host.
+    pub panel: PanelSetting,
     /// The keys are locked.
     pub key_locked: bool,
     /// Used share of the time without a touch of the panel, of 255.
@@ -20,8 +56,6 @@ impl RetainedControl {
     const LOCKED_OUT: u8 = 1 << 7;
     const KEY_LOCKED: u8 = 1 << 5;
     const TRIES_MASK: u8 = Self::KEY_LOCKED - 1;
-    /// Level of keeping warm: above every level of power.
-    pub const KEEP_WARM: u8 = 10;
 
     /// Encodes as three bytes; all bits zero for the default.
     pub const fn to_bytes(self) -> [u8; 3] {
@@ -32,11 +66,7 @@ impl RetainedControl {
         if self.key_locked {
             byte |= Self::KEY_LOCKED;
         }
-        let panel = match self.panel_level {
-            Some(level) => level + 1,
-            None => 0,
-        };
-        [byte, self.unattended, panel]
+        [byte, self.unattended, self.panel.to_byte()]
     }
 
     /// Decodes what [`RetainedControl::to_bytes`] gave.
@@ -44,7 +74,7 @@ impl RetainedControl {
         Self {
             locked_out: byte & Self::LOCKED_OUT != 0,
             tries_used: byte & Self::TRIES_MASK,
-            panel_level: panel.checked_sub(1),
+            panel: PanelSetting::from_byte(panel),
             key_locked: byte & Self::KEY_LOCKED != 0,
             unattended,
         }

@@ -153,6 +153,7 @@ pub fn reason(flags: ResetFlags, last: Option<CrashRecord>) -> ResetReason {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::retained::control::PanelSetting;
 
     const PANICKED: CrashRecord = CrashRecord {
         reason: Some(ResetReason::Panic),
@@ -161,7 +162,7 @@ mod tests {
         control: RetainedControl {
             locked_out: true,
             tries_used: 3,
-            panel_level: Some(0),
+            panel: PanelSetting::OFF,
             key_locked: false,
             unattended: 200,
         },

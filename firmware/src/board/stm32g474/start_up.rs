@@ -3,7 +3,7 @@
 
 use core::arch::global_asm;
 
-use ihd_firmware::retained::control::RetainedControl;
+use ihd_firmware::retained::control::{PanelSetting, RetainedControl};
 use ihd_firmware::retained::reset::{CrashRecord, NEXT_BOOTLOADER};
 use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
@@ -16,7 +16,7 @@ const BROKEN_RAM: [u32; 4] = CrashRecord {
     control: RetainedControl {
         locked_out: true,
         tries_used: 0,
-        panel_level: None,
+        panel: PanelSetting::Untouched,
         key_locked: false,
         unattended: 0,
     },
