@@ -322,6 +322,18 @@ impl Store {
             .map_err(self.failed("reading how well a lookup is known"))
     }
 
+    /// Returns the newest lookup of a device of a version, the pending one first; for `None` the active one.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn lookup(
+        &self,
+        device: &str,
+        version: Option<u32>,
+    ) -> Result<Option<LookupRow>, StoreError> {
+        one(self.records(), device, version).map_err(self.failed("reading a lookup"))
+    }
+
     /// Returns the lookups of a device, oldest first: the active one, the pending one and the newest others.
     ///
     /// # Errors

@@ -29,19 +29,11 @@ WHERE fleet = 0 AND (?2 IS NULL OR device IN (SELECT value FROM json_each(?2)))
 ORDER BY at_ms, id LIMIT ?1";
 
 impl Store {
-    /// Returns the oldest due windows, `limit` at most.
-    ///
-    /// # Errors
-    /// Errors of the databases or the operating system.
-    pub fn due(&mut self, limit: usize) -> Result<Vec<DueWindow>, StoreError> {
-        self.due_of(None, limit)
-    }
-
     /// Returns the oldest due windows of these devices, or of all, `limit` at most.
     ///
     /// # Errors
     /// Errors of the databases or the operating system.
-    pub fn due_of(
+    pub fn due(
         &mut self,
         devices: Option<&[String]>,
         limit: usize,

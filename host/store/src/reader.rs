@@ -141,7 +141,7 @@ impl StoreReader {
         lookups::of_device(&self.records, "name", device).map_err(self.failed("listing lookups"))
     }
 
-    /// Returns the newest lookup of a device of a version, the pending one first; for `None` the active one.
+    /// Returns the newest lookup of a device of a version, as [`Store::lookup`](super::Store::lookup) does.
     ///
     /// # Errors
     /// Errors of the database.

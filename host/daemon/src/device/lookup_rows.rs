@@ -9,7 +9,9 @@ use ihd_store::{Certainty, DeviceId, LookupRow};
 use super::reconcile::previous_lookup;
 use super::store_wait::StoreWait;
 use crate::learning::LookupToPush;
-use crate::view::stored_lookup::newest;
+
+/// Reason given where the store does not respond.
+const SILENT: &str = "the store does not answer";
 
 /// Lookups of one device in the store. Errors of the store are reported by its thread.
 pub struct LookupRows<'a> {
@@ -29,19 +31,26 @@ impl LookupRows<'_> {
         rows.await
     }
 
+    /// Returns the lookup of this version, the inner `None` if the store holds none; `None` if the store does not respond.
+    async fn of_version(&self, version: u32) -> Option<Option<RlLookup>> {
+        let name = self.name.to_owned();
+        let row = self
+            .wait
+            .run(move |store| store.lookup(&name, Some(version)));
+        let row = row.await?;
+        Some(row.and_then(|row| RlLookup::from_bytes(&row.blob).ok()))
+    }
+
     /// Returns the lookup of this version; for `None` the one that was active before `on_device`, the present one.
     ///
     /// # Errors
     /// Reason why there is none.
     pub async fn find(&self, version: Option<u32>, on_device: u32) -> Result<LookupToPush, String> {
-        let rows = self.read().await.ok_or("the store does not answer")?;
         let lookup = match version {
             // The built-in lookup, which the store may not hold.
             Some(0) => Some(prior()),
-            Some(version) => {
-                newest(&rows, version).and_then(|r| RlLookup::from_bytes(&r.blob).ok())
-            }
-            None => previous_lookup(on_device, &rows),
+            Some(version) => self.of_version(version).await.ok_or(SILENT)?,
+            None => previous_lookup(on_device, &self.read().await.ok_or(SILENT)?),
         };
         let lookup = lookup.ok_or_else(|| match version {
             Some(version) => format!("the store holds no lookup of version {version}"),

@@ -129,7 +129,7 @@ impl FleetAccess {
     ) -> Result<Vec<DueWindow>, StoreThreadError> {
         let learner = self.learner.get();
         let held = learner.as_ref().map_or(0, |learner| learner.most_pending());
-        let due = self.in_store(move |store| store.due_of(Some(&hobs), limit + held));
+        let due = self.in_store(move |store| store.due(Some(&hobs), limit + held));
         let mut due = due.await?;
         if let Some(learner) = learner {
             due.retain(|w| !learner.is_pending(&w.device, w.boot, w.seq));

@@ -9,7 +9,6 @@ pub(crate) mod recent_fits;
 mod recordings;
 mod reports;
 mod scope;
-pub(crate) mod stored_lookup;
 mod training;
 
 use std::collections::BTreeMap;

@@ -9,7 +9,7 @@ use ihd_store::{
 use super::fixture::*;
 
 fn numbers(store: &mut Store, limit: usize) -> Vec<u32> {
-    let due = store.due(limit).unwrap();
+    let due = store.due(None, limit).unwrap();
     due.into_iter().map(|due| due.seq).collect()
 }
 
@@ -36,7 +36,7 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
     drop(store);
     let mut store = open();
     assert_eq!(store.count_due().unwrap(), 4);
-    let due = store.due(3).unwrap();
+    let due = store.due(None, 3).unwrap();
     // Without a result its samples, with one that.
     store.record_result(&result(of, 3), None).unwrap();
     let OutboxItem::Window(read) = store.read_due(&due[0]).unwrap() else {
@@ -51,7 +51,7 @@ fn windows_are_due_in_their_order_until_the_fleet_has_them_over_restarts_and_day
         ])
         .unwrap();
     assert_eq!(numbers(&mut store, 10), [4, 5]);
-    let last = store.due(2).unwrap();
+    let last = store.due(None, 2).unwrap();
     store
         .mark_sent(&[
             (last[0].clone(), DeliveryState::Window),
@@ -92,11 +92,11 @@ fn windows_of_other_devices_are_passed_over_and_stay_due() {
     let of = session(&mut store);
     store.keep_window_for(of, &window(2), true).unwrap();
     let due_of = |device: &str, store: &mut Store| {
-        let due = store.due_of(Some(&[device.to_owned()]), 1).unwrap();
+        let due = store.due(Some(&[device.to_owned()]), 1).unwrap();
         due.into_iter().map(|due| due.seq).collect::<Vec<_>>()
     };
     assert_eq!(due_of("bench", &mut store), [2]);
-    let due = store.due(2).unwrap();
+    let due = store.due(None, 2).unwrap();
     let ends = [(due[1].clone(), DeliveryState::Damaged)];
     store.mark_sent(&ends).unwrap();
     assert_eq!(
@@ -134,7 +134,7 @@ fn states_add_up_to_the_windows_stored() {
     }
     let kept_ms = NOON_MS - DAY_MS;
     assert_eq!(tally(&mut store).due_since_ms, Some(kept_ms));
-    let due = store.due(10).unwrap();
+    let due = store.due(None, 10).unwrap();
     clock.forward(1_000);
     let ends = [
         DeliveryState::Result,
@@ -261,7 +261,7 @@ fn a_store_that_owed_nothing_when_it_was_opened_owes_what_comes_next() {
     store.keep_window_for(of, &window(1), true).unwrap();
     let state = |store: &mut Store, seq| store.fleet_state("bench", 7, seq).unwrap();
     assert_eq!(state(&mut store, 1), Some(FleetState::Due));
-    let due = store.due(1).unwrap().remove(0);
+    let due = store.due(None, 1).unwrap().remove(0);
     store
         .mark_sent(&[(due.clone(), DeliveryState::Window)])
         .unwrap();
