@@ -14,17 +14,9 @@ static WRITTEN: AtomicU32 = AtomicU32::new(0);
 /// # Errors
 /// Error of the operating system; the old file is then unchanged, and the temporary one removed.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let temporary = beside(path)?;
-    let written = File::create_new(&temporary).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()
-    });
-    let done = written.and_then(|()| rename(&temporary, path));
-    if done.is_err() {
-        // The first error is the one to report.
-        let _ = fs::remove_file(&temporary);
-    }
-    done
+    let (replacement, mut file) = Replacement::create(path.to_owned())?;
+    file.write_all(bytes)?;
+    replacement.complete()
 }
 
 /// Renames a file durably: the folder of the new name is synchronised.
@@ -78,16 +70,18 @@ impl Replacement {
             path = path.canonicalize()?;
             permissions = Some(metadata.permissions());
         }
-        let temporary = beside(&path)?;
-        let file = File::create_new(&temporary)?;
-        let begun = Self {
-            path,
-            temporary: Some(temporary),
-        };
+        let (begun, file) = Self::create(path)?;
         if let Some(permissions) = permissions {
             file.set_permissions(permissions)?;
         }
         Ok((begun, file))
+    }
+
+    fn create(path: PathBuf) -> io::Result<(Self, File)> {
+        let temporary = beside(&path)?;
+        let file = File::create_new(&temporary)?;
+        let temporary = Some(temporary);
+        Ok((Self { path, temporary }, file))
     }
 
     /// Gives the file, which is completely written, its name.
