@@ -1,8 +1,9 @@
 //! Lookup in ohm and henry, with deviation, confidence and age of its cells.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use ihd_model::Map;
+use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
@@ -89,11 +90,18 @@ fn fill(map: Map, lookup: &RlLookup, age_s: Vec<Vec<Option<f64>>>) -> Map {
         (0..FREQUENCIES).map(row).collect()
     };
     let r_ohm = |f: usize, i: usize| f64::from(lookup.r[f][i]) * OHM_PER_CODE;
+    let l_h = |f: usize, i: usize| f64::from(lookup.l[f][i]) * HENRY_PER_CODE;
     let observed = |f: usize| (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect();
     Map {
         r_ohm: table(&r_ohm),
-        l_h: table(&|f, i| f64::from(lookup.l[f][i]) * HENRY_PER_CODE),
-        power_w: table(&|f, i| mean_power_w(&i_a, i, |column| r_ohm(f, column))),
+        l_h: table(&l_h),
+        power_w: (0..FREQUENCIES)
+            .map(|f| {
+                let r_l = |i| (r_ohm(f, i), l_h(f, i));
+                let row = MapRow::new(f_sw_hz[f], &i_a, r_l);
+                (0..CURRENTS).map(|i| row.mean_power_w(i)).collect()
+            })
+            .collect(),
         observed: (0..FREQUENCIES).map(observed).collect(),
         age_s,
         f_sw_hz,
@@ -105,21 +113,66 @@ fn fill(map: Map, lookup: &RlLookup, age_s: Vec<Vec<Option<f64>>>) -> Map {
 /// Points of a quarter of the mains period at which the power is taken.
 const POWER_POINTS: usize = 32;
 
-/// Mean power over a half-cycle in watt, P = ⟨½ R(Î) Î²⟩, whose current Î follows |sin| up to the amplitude of a column. R in
-/// ohm, by column, is linear between the columns.
-fn mean_power_w(i_a: &[f64], column: usize, r_ohm: impl Fn(usize) -> f64) -> f64 {
-    let crest_a = i_a[column];
-    let r_ohm: Vec<f64> = (0..i_a.len()).map(r_ohm).collect();
-    let power = |point: usize| {
-        let angle = FRAC_PI_2 * (point as f64 + 0.5) / POWER_POINTS as f64;
-        let now_a = crest_a * angle.sin();
-        0.5 * linear(i_a, &r_ohm, now_a).unwrap_or(f64::NAN) * now_a * now_a
-    };
-    (0..POWER_POINTS).map(power).sum::<f64>() / POWER_POINTS as f64
+/// Halvings of an interval in which a current is searched: to 10⁻⁶ of it.
+const HALVINGS: usize = 20;
+
+/// Load at one switching frequency, linear between the columns.
+struct MapRow<'a> {
+    /// Currents of the columns in ampere.
+    i_a: &'a [f64],
+    r_ohm: Vec<f64>,
+    /// |Z| of load and resonance capacitor in ohm.
+    z_ohm: Vec<f64>,
+}
+
+impl<'a> MapRow<'a> {
+    fn new(f_sw_hz: f64, i_a: &'a [f64], r_l: impl Fn(usize) -> (f64, f64)) -> Self {
+        let omega = TAU * f_sw_hz;
+        let c_f = 1e-9 * f64::from(RESONANCE_CAPACITANCE_NF);
+        let z_ohm = |(r_ohm, l_h): (f64, f64)| r_ohm.hypot(omega * l_h - 1.0 / (omega * c_f));
+        let loads: Vec<_> = (0..i_a.len()).map(r_l).collect();
+        Self {
+            i_a,
+            r_ohm: loads.iter().map(|load| load.0).collect(),
+            z_ohm: loads.into_iter().map(z_ohm).collect(),
+        }
+    }
+
+    fn at(&self, values: &[f64], i_a: f64) -> f64 {
+        linear(self.i_a, values, i_a).unwrap_or(f64::NAN)
+    }
+
+    /// Amplitude of the voltage's fundamental in volt at an amplitude of the current in ampere.
+    fn voltage_v(&self, i_a: f64) -> f64 {
+        self.at(&self.z_ohm, i_a) * i_a
+    }
+
+    /// Mean power over a half-cycle in watt, P = ⟨½ R(Î) Î²⟩, whose voltage follows |sin| up to that at the amplitude of a column.
+    /// The current follows |sin| only where R and L are constant.
+    fn mean_power_w(&self, column: usize) -> f64 {
+        let crest_a = self.i_a[column];
+        let crest_v = self.voltage_v(crest_a);
+        let power = |point: usize| {
+            let angle = FRAC_PI_2 * (point as f64 + 0.5) / POWER_POINTS as f64;
+            let v = crest_v * angle.sin();
+            let (mut below, mut above) = (0.0, crest_a);
+            for _ in 0..HALVINGS {
+                let middle = 0.5 * (below + above);
+                match self.voltage_v(middle) < v {
+                    true => below = middle,
+                    false => above = middle,
+                }
+            }
+            0.5 * self.at(&self.r_ohm, above) * above * above
+        };
+        (0..POWER_POINTS).map(power).sum::<f64>() / POWER_POINTS as f64
+    }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use ihd_store::LastAccepted;
 
     use super::super::cell_ages::CellAges;
@@ -148,17 +201,21 @@ mod tests {
         assert!(super::map(3, None, None, Vec::new()).is_none());
     }
 
-    /// Under a rectified mains the mean of ½RÎ² is half of that at the crest where R is constant, and more than that where R is
-    /// larger at small currents.
+    /// At resonance |Z| is R. A constant one gives half the power of the crest; R = a/√Î makes the current follow sin², and
+    /// P = ½aÎ^1.5 ⟨|sin|³⟩ = 2aÎ^1.5 / 3π, which is less than half.
     #[test]
-    fn the_power_of_a_cell_is_the_mean_over_a_half_cycle() {
-        let i_a: Vec<f64> = (0..CURRENTS).map(current_a).collect();
-        let constant = mean_power_w(&i_a, 12, |_| 4.0);
-        assert!((constant / (0.25 * 4.0 * i_a[12] * i_a[12]) - 1.0).abs() < 1e-3);
-        // R = a + b/Î gives ¼aÎ² + bÎ/π; the column at zero is left out of the check's range by its small weight.
-        let falling = mean_power_w(&i_a, 12, |column| 3.0 + 20.0 / i_a[column].max(2.0));
-        let exact = 0.25 * 3.0 * i_a[12] * i_a[12] + 20.0 * i_a[12] / std::f64::consts::PI;
-        assert!((falling / exact - 1.0).abs() < 0.01, "{falling} {exact}");
+    fn the_power_of_a_cell_is_the_mean_over_a_half_cycle_of_the_voltage() {
+        let f_sw_hz: f64 = 45e3;
+        let resonant_h = 1e9 / (f64::from(RESONANCE_CAPACITANCE_NF) * (TAU * f_sw_hz).powi(2));
+        let i_a: Vec<f64> = (0..=800).map(|k| 0.1 * f64::from(k)).collect();
+        let power_w = |r: &dyn Fn(f64) -> f64| {
+            MapRow::new(f_sw_hz, &i_a, |i| (r(i_a[i]), resonant_h)).mean_power_w(600)
+        };
+        let constant = power_w(&|_| 4.0);
+        assert!((constant / (0.25 * 4.0 * 3_600.0) - 1.0).abs() < 1e-3);
+        let falling = power_w(&|i_a| 20.0 / i_a.max(0.1).sqrt());
+        let exact = 2.0 * 20.0 * 60.0_f64.powf(1.5) / (3.0 * PI);
+        assert!((falling / exact - 1.0).abs() < 2e-3, "{falling} {exact}");
     }
 
     #[test]
