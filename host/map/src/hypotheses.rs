@@ -24,7 +24,7 @@ const MAX_ENTRIES_SHARE: f64 = 0.5;
 const MIN_ANY_POT_SHARE: f64 = 0.5;
 
 /// Most deviations of "any pot", root mean square over the map, by which an entry's map may differ from it: docs/map.md
-/// finds them too small by 1.8 at most.
+/// finds them too small by 1.7 at most.
 const MAX_DEVIATIONS: f64 = 2.0;
 
 /// Least relative deviations of R and L in that comparison.

@@ -50,6 +50,8 @@ pub enum CurveMatch {
     Nothing,
     /// First curve of a pot.
     First,
+    /// Fused with the others, but not compared: no current of [`COUNTS_FROM_A`] or more.
+    NotCompared,
     /// Same pot as before.
     Same {
         /// Mean square in expected variances; about 1 if all deviations are right.
@@ -233,7 +235,7 @@ impl PotMap {
             most_chi2,
         }) = compared
         else {
-            return (CurveMatch::Same { chi2: 1.0 }, false);
+            return (CurveMatch::NotCompared, false);
         };
         if chi2 > ANOTHER && r.max(l) > NEVER_ANOTHER {
             (CurveMatch::Another { chi2, r, l }, true)

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use ihd_link::{Client, ClientCounters, DeviceEvent, KEEPALIVE_PERIOD, LinkError, Window};
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::messages::{Outcome, Telemetry};
+use ihd_shared::wire::messages::{Fault, Outcome, Pot, State, Telemetry};
 use ihd_signal::truth::Truth;
 
 use super::{RunProgress, TrainerError};
@@ -45,8 +45,8 @@ pub struct Device<'a> {
     last_received: Duration,
     /// Set if telemetry shows the power that was requested last.
     is_confirmed: bool,
-    /// Set if the device waits for a pot or pauses, and that was reported.
-    is_waiting: bool,
+    /// Reason for which the device waits for a pot or pauses, as it was reported; `None` if it does not.
+    waits_for: Option<(State, Pot, Fault)>,
     /// First failure of the recording.
     pub(super) not_recorded: Option<LinkError>,
 }
@@ -70,7 +70,7 @@ impl<'a> Device<'a> {
             last_sent: now,
             last_received: now,
             is_confirmed: false,
-            is_waiting: false,
+            waits_for: None,
             not_recorded: None,
         }
     }

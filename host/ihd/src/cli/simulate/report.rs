@@ -23,6 +23,19 @@ fn range(truth: &[&PeriodTruth], value: impl Fn(&PeriodTruth) -> f64) -> (f64, f
         })
 }
 
+/// Mean power over a simulation in watt. The points between the first and the last are means over two periods that overlap, so that
+/// those two count half.
+fn mean_power_w(truth: &[PeriodTruth]) -> f64 {
+    let (mut energy_j, mut time_s) = (0.0, 0.0);
+    for (k, t) in truth.iter().enumerate() {
+        let is_end = k == 0 || k + 1 == truth.len();
+        let share_s = if is_end { 0.5 } else { 1.0 } / t.f_sw_hz;
+        energy_j += share_s * t.p_w;
+        time_s += share_s;
+    }
+    energy_j / time_s
+}
+
 /// Summary with operating point, truth, resonance interval and speed.
 pub fn summary(recording: &SimulatedRecording, took: Duration) -> Result<()> {
     let s = &recording.settings;
@@ -51,13 +64,8 @@ pub fn summary(recording: &SimulatedRecording, took: Duration) -> Result<()> {
         say!("current    none above {SMALLEST_A} A")?;
         return Ok(());
     }
-    let power = recording
-        .truth
-        .iter()
-        .map(|t| t.p_w / t.f_sw_hz)
-        .sum::<f64>()
-        / recording.truth.iter().map(|t| 1.0 / t.f_sw_hz).sum::<f64>();
-    say!("current    up to {peak_a:.2} A (fundamental), mean power {power:.1} W")?;
+    let power_w = mean_power_w(&recording.truth);
+    say!("current    up to {peak_a:.2} A (fundamental), mean power {power_w:.1} W")?;
     let (r, l) = (range(&loaded, |t| t.r_ohm[0]), range(&loaded, |t| t.l_h[0]));
     say!(
         "truth      R {:.3} to {:.3} ohm, L {:.2} to {:.2} µH at {SMALLEST_A} A and more",

@@ -185,7 +185,7 @@ impl Device<'_> {
     }
 
     /// Checks the state in a half-cycle's telemetry: locked out, without pot and switched off are errors. A device that waits is reported
-    /// once.
+    /// once for each reason.
     fn check_telemetry(
         &mut self,
         t: &Telemetry,
@@ -202,8 +202,9 @@ impl Device<'_> {
                 point,
             }),
             State::WaitingForPot | State::Pausing => {
-                if !self.is_waiting {
-                    self.is_waiting = true;
+                let reason = Some((t.state, t.pot, t.fault));
+                if self.waits_for != reason {
+                    self.waits_for = reason;
                     self.report(RunProgress::Waiting {
                         asked_w,
                         telemetry: t,
@@ -221,7 +222,7 @@ impl Device<'_> {
                 _ => TrainerError::SwitchedOff { point },
             }),
             State::Idle | State::Probing | State::Heating => {
-                self.is_waiting = false;
+                self.waits_for = None;
                 Ok(HeatingState::Heats)
             }
         }
