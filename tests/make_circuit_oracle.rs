@@ -85,7 +85,7 @@ fn crossing_figure(path: &Path) -> Result<(), Box<dyn std::error::Error>> {
                 .iter()
                 .flat_map(PlotCurve::points)
                 .fold(0.0, |m, p| p.1.max(m));
-            let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
+            let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::from_curve).collect();
             let below = match n {
                 0 => header(part, title, &entries)?,
                 _ => part.clone(),
@@ -154,7 +154,7 @@ fn panel(
     range: std::ops::Range<f64>,
     curves: &[PlotCurve],
 ) -> DrawResult {
-    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
+    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::from_curve).collect();
     let below = match title {
         "" => area.clone(),
         title => header(area, title, &entries)?,

@@ -49,11 +49,12 @@ fn cell(
         ..CaptureSpec::default()
     };
     let capture = record(&settings, |_| ())?.capture("voltage range");
-    let survey = Survey::of(&capture, &Hints::default())?;
+    let survey = Survey::from_capture(&capture, &Hints::default())?;
     let segments = survey.segments(&capture);
     let segment = segments.first().ok_or("no segment")?;
     let estimate = ihd_identify::run(method, segment, &ihd_identify::IdentifyOptions::default())?;
-    let accuracy = Accuracy::of(&estimate, segment, &capture.truth, 10e-3).ok_or("no truth")?;
+    let accuracy =
+        Accuracy::measure(&estimate, segment, &capture.truth, 10e-3).ok_or("no truth")?;
     let text = |e: ihd_signal::truth::Mre| format!("{:.3}/{:.3}", e.r_pct, e.l_pct);
     Ok(format!(
         "{} · {}",

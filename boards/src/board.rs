@@ -111,7 +111,7 @@ impl Board {
             let pin = match (known, value.get_ref()) {
                 (None, _) => Err(UNKNOWN.to_owned()),
                 (Some(known), DeValue::String(name)) => {
-                    pins::of(known, name).map(|pin| (known.key, pin))
+                    pins::parse_for(known, name).map(|pin| (known.key, pin))
                 }
                 _ => Err("must be a pin's name".to_owned()),
             };

@@ -83,8 +83,8 @@ fn name((port, line): (u8, u8)) -> String {
     format!("P{}{line}", char::from(b'A' + port))
 }
 
-/// Checks a function's pin by itself.
-pub(crate) fn of(function: &PinUse, name: &str) -> Result<(u8, u8), String> {
+/// Parses a function's pin and checks it by itself.
+pub(crate) fn parse_for(function: &PinUse, name: &str) -> Result<(u8, u8), String> {
     let Some(pin) = parse(name) else {
         return Err("must be a pin from PA0 to PC15".to_owned());
     };

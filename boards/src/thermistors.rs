@@ -27,7 +27,7 @@ struct Thermistor {
 }
 
 impl Thermistor {
-    fn of(board: &Board, sensor: &str) -> Self {
+    fn from_board(board: &Board, sensor: &str) -> Self {
         let value = |key: &str| board.value(&format!("thermistors.{sensor}_{key}")).0 as f64;
         Self {
             ohm_at_25c: value("ntc_ohm"),
@@ -47,7 +47,7 @@ impl Thermistor {
 /// Checks that a broken wire has a code of its own.
 pub(crate) fn check(board: &Board) -> Result<(), BoardError> {
     for sensor in SENSORS {
-        let thermistor = Thermistor::of(board, sensor);
+        let thermistor = Thermistor::from_board(board, sensor);
         let (cold, hot) = (thermistor.code(0), thermistor.code(ENTRIES - 1));
         let name = format!("thermistors.{sensor}_pull_up_ohm");
         let (pull_up, line) = board.value(&name);
@@ -70,7 +70,7 @@ pub(crate) fn check(board: &Board) -> Result<(), BoardError> {
 
 /// Source text of the tables, in Rust.
 pub(crate) fn constants(board: &Board) -> String {
-    let thermistors = SENSORS.map(|sensor| Thermistor::of(board, sensor));
+    let thermistors = SENSORS.map(|sensor| Thermistor::from_board(board, sensor));
     let codes = thermistors.each_ref().map(|thermistor| {
         let codes = (0..ENTRIES).map(|entry| thermistor.code(entry).round() as u16);
         codes.collect::<Vec<_>>()
@@ -95,7 +95,8 @@ mod tests {
     #[test]
     fn codes_are_the_dividers() {
         let board = Board::parse("my.toml".as_ref(), &reference()).unwrap();
-        let [sink, glass] = ["heat_sink", "glass"].map(|sensor| Thermistor::of(&board, sensor));
+        let [sink, glass] =
+            ["heat_sink", "glass"].map(|sensor| Thermistor::from_board(&board, sensor));
         // Tables of an NTC of 10 kohm, B = 3950 K: 25 °C between 20 °C (12.54 kohm) and 30 °C (8.04 kohm).
         let code = |ohm: f64| 4_096.0 * ohm / (ohm + 10e3);
         assert!((sink.code(6) / code(12_535.0) - 1.0).abs() < 1e-3);

@@ -93,13 +93,13 @@ pub struct Reciprocal {
 
 impl Reciprocal {
     /// The reciprocal of a positive integer to within 2^-29 of its value; of 0, that of 1.
-    pub fn of(n: u64) -> Self {
+    pub fn new(n: u64) -> Self {
         let n = n.max(1);
         let zeros = n.leading_zeros();
         Self::of_normalised(((n << zeros) >> 32) as u32, zeros)
     }
 
-    /// Same as [`Reciprocal::of`], for a positive `n` of 32 bits.
+    /// Same as [`Reciprocal::new`], for a positive `n` of 32 bits.
     #[inline(always)]
     pub fn of_short(n: u32) -> Self {
         debug_assert!(n > 0);
@@ -107,7 +107,7 @@ impl Reciprocal {
         Self::of_normalised(n << zeros, 32 + zeros)
     }
 
-    /// Same as [`Reciprocal::of`], for `n` from 2^32 on.
+    /// Same as [`Reciprocal::new`], for `n` from 2^32 on.
     #[inline(always)]
     pub fn of_long(n: u64) -> Self {
         debug_assert!(n >> 32 > 0);
@@ -206,7 +206,7 @@ pub fn quotient(n: u64, d: u64) -> i64 {
     let n = n.min(i64::MAX as u64);
     let d = d.clamp(1, i64::MAX as u64);
     let shift = 33u32.saturating_sub(n.leading_zeros());
-    let mut quotient = i64::from(Reciprocal::of(d).scale((n >> shift) as i32, shift as i32));
+    let mut quotient = i64::from(Reciprocal::new(d).scale((n >> shift) as i32, shift as i32));
     // Good to 4e-9, so a few units off; each is found by the remainder, which a wrapping product shows.
     let mut rest = (n as i64).wrapping_sub(quotient.wrapping_mul(d as i64));
     for _ in 0..16 {
@@ -257,7 +257,7 @@ mod tests {
             let off = (i64::from(within) - i64::from(general)).abs();
             let may_be_off = if is_bound { 1 << (32 - shift.min(32)) } else { 1 };
             prop_assert!(off < may_be_off, "{} for {}", within, general);
-            let inverse = Reciprocal::of(1 << bits | 12_345);
+            let inverse = Reciprocal::new(1 << bits | 12_345);
             let shift = inverse.exponent - q;
             if (1..=62).contains(&shift) {
                 let both = inverse.scale_both(Complex { re: y, im: !y }, q);
@@ -274,8 +274,8 @@ mod tests {
         fn reciprocals_of_short_and_long_numbers_are_the_general_one(n in any::<u64>(), bits in 0u32..32) {
             let (short, long) = (((n as u32) >> bits).max(1), (n >> bits).max(1 << 32));
             let by_short = Reciprocal::of_short(short);
-            prop_assert_eq!(by_short, Reciprocal::of(u64::from(short)));
-            prop_assert_eq!(Reciprocal::of_long(long), Reciprocal::of(long));
+            prop_assert_eq!(by_short, Reciprocal::new(u64::from(short)));
+            prop_assert_eq!(Reciprocal::of_long(long), Reciprocal::new(long));
             let part = ((n >> 32) as u32 % short) >> 1;
             prop_assert_eq!(by_short.share(part, 24), by_short.scale(part as i32, 24));
             let whole = f64::from(by_short.share(short, 24)) / 2f64.powi(24);
@@ -300,7 +300,7 @@ mod tests {
         #[test]
         fn reciprocal_is_good_to_nine_digits(bits in 0u32..64, low in any::<u64>()) {
             let n = (1u64 << bits) | (low & ((1u64 << bits) - 1));
-            let r = Reciprocal::of(n);
+            let r = Reciprocal::new(n);
             let value = f64::from(r.mantissa) * 2f64.powi(-r.exponent);
             prop_assert!((value * n as f64 - 1.0).abs() < 2e-9, "1/{} = {}", n, value);
         }
@@ -308,7 +308,7 @@ mod tests {
         #[test]
         fn scale_multiplies(x in any::<i32>(), n in 1u64..u64::MAX, q in -10i32..70) {
             let exact = f64::from(x) * 2f64.powi(q) / n as f64;
-            let got = f64::from(Reciprocal::of(n).scale(x, q));
+            let got = f64::from(Reciprocal::new(n).scale(x, q));
             let bounded = exact.clamp(f64::from(i32::MIN), f64::from(i32::MAX));
             prop_assert!((got - bounded).abs() <= 1.0 + 4e-9 * bounded.abs(), "{got} {bounded}");
         }

@@ -26,7 +26,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     while !reader.is_empty() {
         damage(&mut capture, &mut reader);
     }
-    match Survey::of(&capture, &hints) {
+    match Survey::from_capture(&capture, &hints) {
         Ok(survey) => check(&survey, &capture),
         Err(why) => assert!(why.to_string().starts_with("fuzzed"), "{why}"),
     }

@@ -35,7 +35,7 @@ fn track_error(kitchen: &Kitchen, window: &Window) -> Mre {
     assert_eq!(truth.f_sw_hz, f64::from(window.f_sw_hz));
     let track = window.trajectory.iter().enumerate();
     let track = track.map(|(k, e)| (window.trajectory_time_s(k), e.r.ohm(), e.l.henry()));
-    Mre::of(&truth, track, 0.1 * half_cycle_s, 0.9 * half_cycle_s).expect("a track")
+    Mre::compute(&truth, track, 0.1 * half_cycle_s, 0.9 * half_cycle_s).expect("a track")
 }
 
 #[test]

@@ -368,7 +368,7 @@ fn replay_mode_says_so_and_locks_the_power_outputs() {
 fn a_capture_replays_with_the_same_bits_windows_and_states() {
     let board = Board::start("");
     let capture = mcap::read(&regression_captures::file("start-up")).unwrap();
-    let survey = Survey::of(&capture, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(&capture, &Hints::default()).unwrap();
     let segments = survey.segments(&capture);
     let settings = replay::ReplayOptions {
         patience: Some(PATIENCE),

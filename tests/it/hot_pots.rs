@@ -179,7 +179,7 @@ struct Sums {
 }
 
 impl Sums {
-    fn of(kind: &Kind, runs: &[Shown]) -> Self {
+    fn summarise(kind: &Kind, runs: &[Shown]) -> Self {
         let too_hot =
             |run: &&Shown| run.base_c > kind.too_hot_c.0 || run.contents_c > kind.too_hot_c.1;
         let most = |of: fn(&Shown) -> f64| runs.iter().map(of).fold(0.0, f64::max);
@@ -203,7 +203,7 @@ fn the_document_says_how_hot_pots_become() {
     for kind in &KINDS {
         for contact in [0.25, 0.5, 0.75, 1.0, 1.5] {
             let [with, without] =
-                [true, false].map(|limited| Sums::of(kind, &runs(kind, contact, limited)));
+                [true, false].map(|limited| Sums::summarise(kind, &runs(kind, contact, limited)));
             let hottest = |sums: &Sums| match sums.hottest_c {
                 (base_c, 0.0) => format!("{base_c:.0}"),
                 (base_c, contents_c) => format!("{base_c:.0}, {contents_c:.0}"),

@@ -30,13 +30,14 @@ fn measured() -> BTreeMap<String, [f64; 2]> {
     let mut rows = BTreeMap::new();
     for (name, _) in all() {
         let capture = mcap::read(&file(name)).unwrap();
-        let survey = Survey::of(&capture, &Hints::default()).unwrap();
+        let survey = Survey::from_capture(&capture, &Hints::default()).unwrap();
         for segment in survey.segments(&capture) {
             for method in METHODS {
                 let settings = ihd_identify::IdentifyOptions::default();
                 let estimate = ihd_identify::run(method, &segment, &settings);
                 let estimate = estimate.unwrap_or_else(|e| panic!("{name}, {method}: {e}"));
-                let accuracy = Accuracy::of(&estimate, &segment, &capture.truth, f64::NEG_INFINITY);
+                let accuracy =
+                    Accuracy::measure(&estimate, &segment, &capture.truth, f64::NEG_INFINITY);
                 let mre = accuracy
                     .unwrap_or_else(|| panic!("{name}: no truth"))
                     .middle;

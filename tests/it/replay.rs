@@ -42,7 +42,7 @@ fn segments() -> Vec<Segment> {
     settings.sensing.rate = Rate::Hz(10e6);
     let recording = record(&settings, |_| ()).unwrap();
     let capture = recording.capture("a test");
-    let survey = Survey::of(&capture, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(&capture, &Hints::default()).unwrap();
     survey.segments(&capture)
 }
 

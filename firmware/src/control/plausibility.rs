@@ -91,7 +91,7 @@ impl Plausibility {
         let seen = steady && on_bus && flows;
         // More than any offset that is none yet.
         let swings = summary.f_sw_hz > 0 && summary.crest.i_ma >= 2 * CURRENT_OFFSET_MA;
-        let balance = BridgeBalance::of(summary);
+        let balance = BridgeBalance::from_half_cycle(summary);
         let checks = [
             (self.offset.push(has_offset(summary)), Fault::SENSOR_OFFSET),
             (
@@ -130,7 +130,7 @@ impl Plausibility {
         let is_bare = summary.crest.r.0 <= 1_000 * BARE_COIL_MOHM as i32;
         let l_ph = i64::from(summary.crest.l.0);
         let bare_ph = |percent: u32| i64::from(BARE_COIL_NH * 10 * percent);
-        let balance = BridgeBalance::of(summary);
+        let balance = BridgeBalance::from_half_cycle(summary);
         // Aluminium takes no more power than the winding, and leaves half of its L at most.
         let is_coil_alone = is_bare && l_ph >= bare_ph(METAL_L_PERCENT);
         let bad = if is_coil_alone {
@@ -198,7 +198,7 @@ struct BridgeBalance {
 }
 
 impl BridgeBalance {
-    fn of(summary: &HalfCycle) -> Self {
+    fn from_half_cycle(summary: &HalfCycle) -> Self {
         // Without a frequency X_C has 38 bits.
         let x_c_mohm = i64::from(saturate(resonance_capacitor_mohm(summary.f_sw_hz)));
         let filtered_dv = bridge_dv(summary, x_c_mohm);

@@ -29,7 +29,7 @@ pub async fn route_results(
         let Some(built) = new_lookup else { continue };
         let version = built.lookup.version;
         let lookup = LookupToPush {
-            certainty: Some(Certainty::of(&built.confidence(), &built.sigma())),
+            certainty: Some(Certainty::quantise(&built.confidence(), &built.sigma())),
             lookup: built.lookup,
         };
         if !push(&devices, &device, lookup)

@@ -57,7 +57,7 @@ fn build_id(board: Result<&BoardFacts, &str>, image: Result<&Image, &str>) -> Ch
         Ok(board) => board,
         Err(why) => return Check::not_tested(NAME, why),
     };
-    let Some(runs) = BuildId::of(&board.build_id) else {
+    let Some(runs) = BuildId::from_bytes(&board.build_id) else {
         return Check::not_tested(NAME, "the device has no build id: it is simulated");
     };
     let image = match image {

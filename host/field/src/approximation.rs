@@ -30,7 +30,7 @@ pub struct Cost {
 }
 
 impl Cost {
-    fn of(what: &'static str, f_hz: f64, i_a: f64, used: Load, better: Load) -> Self {
+    fn compute(what: &'static str, f_hz: f64, i_a: f64, used: Load, better: Load) -> Self {
         Self {
             what,
             f_hz,
@@ -69,7 +69,7 @@ pub fn against_layered(material: Material, f_hz: f64) -> Result<Cost, FieldError
         Material::Froehlich { .. } | Material::Saturating { .. } => Shield::Perfect,
     };
     let exact = layered::impedance(&s.geometry, &material, shield, f_hz)?;
-    Ok(Cost::of(what, f_hz, 0.0, used, exact))
+    Ok(Cost::compute(what, f_hz, 0.0, used, exact))
 }
 
 /// The shield as a perfect conductor instead of aluminium.
@@ -80,7 +80,7 @@ pub fn shield(f_hz: f64) -> Result<Cost, FieldError> {
         at(Shield::Perfect)?,
         at(Shield::Conductor(Material::ALUMINIUM.sigma_s_per_m()))?,
     );
-    Ok(Cost::of(
+    Ok(Cost::compute(
         "shield without loss or skin depth",
         f_hz,
         0.0,
@@ -94,7 +94,7 @@ pub fn describing_function(f_hz: f64, i_a: f64) -> Result<Cost, FieldError> {
     let model = FieldModel::new(&FieldSettings::paper())?;
     let used = harmonic::impedance(&model, f_hz, i_a)?;
     let (r_ohm, l_h) = ImpressedCurrent::<16>::fundamental(&model, f_hz, i_a, 1000, 6)?;
-    Ok(Cost::of(
+    Ok(Cost::compute(
         "describing function, against the time domain",
         f_hz,
         i_a,
@@ -133,7 +133,7 @@ pub fn harmonics_in_the_current(f_hz: f64, bus_v: f64, share: f64) -> Result<Cos
     current.iter_mut().skip(1).for_each(|i| *i *= share);
     let i_a = magnitude(current[0]);
     let (r_ohm, l_h) = ImpressedCurrent::<16>::fundamental_of(&model, f_hz, &current, steps, 6)?;
-    Ok(Cost::of(
+    Ok(Cost::compute(
         what,
         f_hz,
         i_a,
@@ -156,7 +156,7 @@ fn refined(
     let used = harmonic::impedance(&FieldModel::new(&s)?, f_hz, i_a)?;
     change(&mut s);
     let better = harmonic::impedance(&FieldModel::new(&s)?, f_hz, i_a)?;
-    Ok(Cost::of(what, f_hz, i_a, used, better))
+    Ok(Cost::compute(what, f_hz, i_a, used, better))
 }
 
 /// 16 rings instead of 32.
@@ -198,7 +198,7 @@ pub fn time_step(f_hz: f64, i_a: f64, steps: usize) -> Result<Cost, FieldError> 
         let (r_ohm, l_h) = ImpressedCurrent::<16>::fundamental(&model, f_hz, i_a, steps, 4)?;
         Ok(Load { r_ohm, l_h })
     };
-    Ok(Cost::of(
+    Ok(Cost::compute(
         "time steps of 20 ns instead of 5 ns",
         f_hz,
         i_a,

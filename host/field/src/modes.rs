@@ -42,7 +42,7 @@ impl Modes {
     /// [`FieldError`] of the geometry.
     pub fn bare_coil(geometry: &Geometry, refinement: f64) -> Result<Self, FieldError> {
         geometry.check()?;
-        Self::of(
+        Self::from_network(
             &Network::new(geometry, refinement, Inside::Air),
             Material::ALUMINIUM.sigma_s_per_m(),
         )
@@ -60,10 +60,10 @@ impl Modes {
         geometry.check()?;
         metal.check()?;
         let network = Network::new(geometry, refinement, Inside::Metal(metal));
-        Self::of(&network, metal.sigma_s_per_m())
+        Self::from_network(&network, metal.sigma_s_per_m())
     }
 
-    fn of(network: &Network<'_>, sigma_s_per_m: f64) -> Result<Self, FieldError> {
+    fn from_network(network: &Network<'_>, sigma_s_per_m: f64) -> Result<Self, FieldError> {
         let pencil = Pencil::new(network);
         let two_pi = 2.0 * core::f64::consts::PI;
         let [low, high] = RATES_HZ;

@@ -113,7 +113,7 @@ pub struct BuildId(pub [u8; 20]);
 
 impl BuildId {
     /// Converts a device's bytes; `None` unless there are 20.
-    pub fn of(bytes: &[u8]) -> Option<Self> {
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
         bytes.try_into().ok().map(Self)
     }
 

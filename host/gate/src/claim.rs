@@ -141,7 +141,7 @@ pub fn confirm(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Confirmat
     let kernel = 1.5 * boxcar(per_phasor).samples() as f64;
     let look = |of: &[&Residual], own: Limit| {
         let samples = of.len() as f64 * per_phasor;
-        Difference::of(of, samples, noise).check(of, own)
+        Difference::fit(of, samples, noise).check(of, own)
     };
     let mut chi2 = [1.0; STRETCHES];
     for (k, chi2) in chi2.iter_mut().enumerate() {
@@ -307,7 +307,7 @@ struct Difference {
 
 impl Difference {
     /// Fits the unexplained voltage as ΔR·I + ΔL·D by least squares.
-    fn of(stretch: &[&Residual], samples: f64, noise: WhiteNoise) -> Self {
+    fn fit(stretch: &[&Residual], samples: f64, noise: WhiteNoise) -> Self {
         let (mut ii, mut id, mut dd, mut ie, mut de) = (0.0, 0.0, 0.0, 0.0, 0.0);
         let (mut r, mut l, mut variance) = (0.0, 0.0, 0.0);
         for p in stretch {

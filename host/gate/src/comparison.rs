@@ -88,8 +88,8 @@ pub fn differences(
     let each = judged(segment).into_iter().map(|half| {
         let crossing_s = half.crossing_s;
         let times = times_s(segment, crossing_s, &[estimate, reference]);
-        let ours = Samples::of(estimate, &times)?;
-        let theirs = Samples::of(reference, &times)?;
+        let ours = Samples::from_estimate(estimate, &times)?;
+        let theirs = Samples::from_estimate(reference, &times)?;
         let pair = |k: usize| {
             let n = times.len() as f64;
             let mut mean = 0.0;
@@ -120,7 +120,7 @@ pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])
     let each = judged(segment).into_iter().map(|half| {
         let crossing_s = half.crossing_s;
         let times = times_s(segment, crossing_s, &[estimate]);
-        let samples = Samples::of(estimate, &times)?;
+        let samples = Samples::from_estimate(estimate, &times)?;
         let mean = |k: usize| {
             let shares = samples.sigma[k].iter().zip(&samples.value[k]);
             100.0 * shares.map(|(s, x)| (s / x).abs()).sum::<f64>() / times.len() as f64
@@ -177,7 +177,7 @@ struct Samples {
 
 impl Samples {
     /// Samples an estimate at these times; `None` if they are too few to compare.
-    fn of(estimate: &Estimate, times_s: &[f64]) -> Option<Self> {
+    fn from_estimate(estimate: &Estimate, times_s: &[f64]) -> Option<Self> {
         if times_s.len() < MIN_POINTS {
             return None;
         }

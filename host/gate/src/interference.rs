@@ -142,14 +142,14 @@ pub fn remark(
 /// Searches for tones, and checks whether R and L are functions of the current alone; `noise` is the segment's.
 pub fn find(segment: &Segment, noise: WhiteNoise) -> Interference {
     let mut found = Interference::default();
-    let Some(mut residual) = Residual::of(segment, BOXCAR_PERIODS) else {
+    let Some(mut residual) = Residual::demodulate(segment, BOXCAR_PERIODS) else {
         return found;
     };
     let volt_per_pct = residual.volt_per_pct();
     found.fits = residual.joint_fits(noise, volt_per_pct, &mut found.tones);
     if !found.tones.is_empty() || !found.fits.iter().all(|f| matches!(f.cause, Cause::None)) {
         // A frequency that moves changes R and L; it is followed elsewhere.
-        if Carrier::of(segment).is_some_and(|carrier| carrier.moves()) {
+        if Carrier::from_segment(segment).is_some_and(|carrier| carrier.moves()) {
             return Interference::default();
         }
     }
@@ -172,7 +172,7 @@ pub fn find(segment: &Segment, noise: WhiteNoise) -> Interference {
         })
         .collect();
     if !far.is_empty() {
-        let mut check = Residual::of(segment, CHECK_PERIODS);
+        let mut check = Residual::demodulate(segment, CHECK_PERIODS);
         if let Some(check) = &mut check {
             check.subtract(&found.tones);
             if let Some(step_s) = step_s {

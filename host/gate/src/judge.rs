@@ -48,7 +48,7 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
             Severity::Error,
             format!("{} found no R and L in this stretch", estimate.method),
         ));
-        return Judgement::of(findings);
+        return Judgement::from_findings(findings);
     }
     findings.extend(coverage(segment, estimate));
     findings.extend(plausibility(segment, estimate));
@@ -81,7 +81,7 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     let half_cycles = [uncertain, agreement].concat();
     let whole = findings.clone();
     findings.extend(worst_of_each_code(&half_cycles));
-    let mut judgement = Judgement::of(findings);
+    let mut judgement = Judgement::from_findings(findings);
     judgement.half_cycles = verdicts(segment, &whole, &half_cycles);
     judgement
 }
@@ -130,7 +130,7 @@ fn verdicts(
         HalfCycleVerdict {
             from_s: half.crossing_s,
             seen: half.seen,
-            gate: Gate::of(whole.iter().chain(&findings)),
+            gate: Gate::from_findings(whole.iter().chain(&findings)),
         }
     };
     let all = comparison::half_cycles(segment).into_iter();
@@ -150,7 +150,7 @@ pub fn judge_failure(remarks: &[Remark], method: Method, why: &str) -> Judgement
         Severity::Error,
         format!("{method} failed: {why}"),
     ));
-    Judgement::of(findings)
+    Judgement::from_findings(findings)
 }
 
 fn coverage(segment: &Segment, estimate: &Estimate) -> Option<Remark> {

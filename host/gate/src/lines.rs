@@ -28,8 +28,8 @@ const SEARCH_STEPS: usize = 24;
 pub struct Lines(Vec<f64>);
 
 impl Lines {
-    /// Spectrum of a signal under a window's weights; `None` if the signal is empty.
-    pub fn of(x: &[Complex<f64>], weight: &[f64]) -> Option<Self> {
+    /// Computes the spectrum of a signal under a window's weights; `None` if the signal is empty.
+    pub fn compute(x: &[Complex<f64>], weight: &[f64]) -> Option<Self> {
         let n = x.len();
         if n == 0 {
             return None;

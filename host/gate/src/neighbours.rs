@@ -61,7 +61,7 @@ pub fn remove(
         absent => return Ok(absent),
     };
     // A tone may have looked like a step of the frequency; without it the stretches are longer, and show it better.
-    let again = Survey::of(&removed.capture, hints)?;
+    let again = Survey::from_capture(&removed.capture, hints)?;
     if again.spans.len() == survey.spans.len() {
         return Ok(Neighbours::Removed(removed));
     }

@@ -130,7 +130,7 @@ fn examine_samples(
         let known = prepared.take_interference(index);
         let preprocessing = Preprocessing::new(segment);
         let reference = ReferenceResults::compute(segment, &preprocessing, known);
-        let of_segment = is_law(&reference).then(|| PoolPhasors::of(segment));
+        let of_segment = is_law(&reference).then(|| PoolPhasors::demodulate(segment));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
         for &method in request.methods {

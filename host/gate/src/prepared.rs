@@ -50,7 +50,7 @@ impl<'a> PreparedCapture<'a> {
             Neighbours::Absent(of_spans) => interference = of_spans,
             Neighbours::Removed(mut without) => {
                 capture = Cow::Owned(std::mem::take(&mut without.capture));
-                survey = Survey::of(&capture, hints)?;
+                survey = Survey::from_capture(&capture, hints)?;
                 removed = Some(without);
             }
         }
@@ -66,9 +66,9 @@ impl<'a> PreparedCapture<'a> {
         let gain = (mode == CalibrationMode::Auto)
             .then(|| correct_gain(&mut calibrated))
             .flatten();
-        let uncertainty = CorrectionUncertainty::of(&calibrated, gain.is_some());
+        let uncertainty = CorrectionUncertainty::from_self_calibration(&calibrated, gain.is_some());
         if let Some(gain) = gain {
-            calibrated.survey = Survey::of(&calibrated.capture, hints)?;
+            calibrated.survey = Survey::from_capture(&calibrated.capture, hints)?;
             sensors.retain(|r| r.code != gain.code);
             sensors.push(gain);
         }

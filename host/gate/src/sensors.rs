@@ -50,7 +50,7 @@ pub fn calibrate<'a>(
     };
     if calibrated.saturation.is_none() && is_of_sampling(sensors, calibrated.survey.rate_hz) {
         let survey = match calibrated.correction {
-            Some(_) => Survey::of(capture, hints)?,
+            Some(_) => Survey::from_capture(capture, hints)?,
             None => calibrated.survey,
         };
         return Ok(CalibratedCapture {
@@ -110,7 +110,10 @@ pub struct CorrectionUncertainty {
 
 impl CorrectionUncertainty {
     /// Derives the uncertainty from a self-calibration that was applied, with the gains corrected or not; `None` if nothing was.
-    pub fn of(calibrated: &CalibratedCapture<'_>, gain_corrected: bool) -> Option<Self> {
+    pub fn from_self_calibration(
+        calibrated: &CalibratedCapture<'_>,
+        gain_corrected: bool,
+    ) -> Option<Self> {
         let Some(Ok(sensors)) = &calibrated.sensors else {
             return None;
         };

@@ -29,7 +29,7 @@ pub struct Gate {
 
 impl Gate {
     /// Derives the verdict from findings: an error refuses, [`TOO_SHORT`] leaves it open.
-    pub fn of<'a>(findings: impl Iterator<Item = &'a Remark> + Clone) -> Self {
+    pub fn from_findings<'a>(findings: impl Iterator<Item = &'a Remark> + Clone) -> Self {
         let texts = |verdict, of: &dyn Fn(&Remark) -> bool| Self {
             verdict,
             why: (findings.clone().filter(|f| of(f)))
@@ -76,10 +76,10 @@ pub struct Judgement {
 
 impl Judgement {
     /// Derives the verdict from findings.
-    pub fn of(mut findings: Vec<Remark>) -> Self {
+    pub fn from_findings(mut findings: Vec<Remark>) -> Self {
         findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
         Self {
-            gate: Gate::of(findings.iter()),
+            gate: Gate::from_findings(findings.iter()),
             findings,
             half_cycles: Vec::new(),
         }
@@ -110,20 +110,23 @@ mod tests {
     #[test]
     fn an_error_refuses_and_a_warning_does_not() {
         let remark = |severity, text: &str| Remark::new("uncertain", severity, text);
-        let doubtful = Judgement::of(vec![
+        let doubtful = Judgement::from_findings(vec![
             remark(Severity::Info, "a"),
             remark(Severity::Warning, "b"),
         ]);
         assert_eq!(doubtful.gate.verdict, Verdict::Pass);
         assert_eq!(doubtful.findings[0].text, "b");
         assert_eq!(doubtful.doubts().count(), 1);
-        let wrong = Judgement::of(vec![
+        let wrong = Judgement::from_findings(vec![
             remark(Severity::Warning, "b"),
             remark(Severity::Error, "c"),
         ]);
         assert_eq!(wrong.gate.to_string(), "refuse: c");
         let open = Remark::new(TOO_SHORT, Severity::Warning, "d");
-        assert_eq!(Judgement::of(vec![open]).gate.to_string(), "cannot tell: d");
+        assert_eq!(
+            Judgement::from_findings(vec![open]).gate.to_string(),
+            "cannot tell: d"
+        );
         assert_eq!(
             serde_json::to_value(&wrong.gate).unwrap(),
             serde_json::json!({"verdict": "refuse", "why": ["c"]})

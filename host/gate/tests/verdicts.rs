@@ -131,7 +131,7 @@ fn what_is_wrong_is_not_silent() {
         for outcome in &examined.outcomes {
             let segment = &examined.segments[outcome.segment];
             let found = outcome.result.as_ref().expect("an estimate");
-            let accuracy = Accuracy::of(found, segment, &capture.truth, f64::NEG_INFINITY);
+            let accuracy = Accuracy::measure(found, segment, &capture.truth, f64::NEG_INFINITY);
             // A stretch may lie between two of the truth's points.
             let Some(Accuracy { middle: errors, .. }) = accuracy else {
                 continue;

@@ -25,7 +25,7 @@ impl Accuracy {
     /// Compares an estimate from `from_s` on with the fundamental's R and L, at the truth's times within the segment, which are the
     /// same for every estimator. The estimate is linear between its points, and constant before the first and after the last.
     /// `None` if estimate and truth have no time in common. The mains phase is the segment's.
-    pub fn of(
+    pub fn measure(
         estimate: &Estimate,
         segment: &Segment,
         truth: &[PeriodTruth],

@@ -198,7 +198,7 @@ impl Preprocessing {
         segment.check()?;
         Ok(Self {
             carrier: sweep::moving(segment),
-            steps: steps::Steps::of(segment),
+            steps: steps::Steps::detect(segment),
             noise: WhiteNoise::measure(segment),
         })
     }
@@ -260,7 +260,7 @@ fn run_on(
     let segment = centred.as_ref().unwrap_or(segment);
     let carrier = match preprocessing {
         Some(preprocessing) if sweep::takes_constant(method) => preprocessing.carrier.clone(),
-        _ => sweep::of(method, segment),
+        _ => sweep::detect(method, segment),
     };
     let Some(carrier) = carrier else {
         return steps::identify(

@@ -153,7 +153,7 @@ struct Equations {
 const EACH: usize = KNOTS + 1;
 
 impl Equations {
-    fn of(means: &[Mean], from_u: f64, spacing: f64) -> Self {
+    fn assemble(means: &[Mean], from_u: f64, spacing: f64) -> Self {
         let mut all = Self {
             normal: DMatrix::zeros(2 * EACH, 2 * EACH),
             right: DVector::zeros(2 * EACH),
@@ -239,7 +239,7 @@ pub struct PoolPhasors {
 
 impl PoolPhasors {
     /// Demodulates a segment.
-    pub fn of(segment: &Segment) -> Self {
+    pub fn demodulate(segment: &Segment) -> Self {
         Self {
             means: means(segment),
             f_sw_hz: segment.f_sw_hz,
@@ -296,7 +296,7 @@ pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
     let (from_u, to_u) =
         amplitudes().fold((f64::INFINITY, 0.0f64), |(a, b), x| (a.min(x), b.max(x)));
     let spacing = (to_u - from_u).max(1e-3) / (KNOTS - 1) as f64;
-    let equations = Equations::of(means, from_u, spacing);
+    let equations = Equations::assemble(means, from_u, spacing);
     let mut best: Option<Posterior> = None;
     for length in LENGTHS {
         let of = |mean: f64| -> Option<Vec<DMatrix<f64>>> {

@@ -11,8 +11,8 @@ use ihd_signal::{Remark, Segment, Severity};
 use super::carrier_inputs::CarrierInputs;
 use super::{Estimate, IdentifyError, IdentifyOptions, Method, reconstruction};
 
-/// Carrier of a segment if it moves and the method assumes it constant, else `None`.
-pub(super) fn of(method: Method, segment: &Segment) -> Option<Carrier> {
+/// Detects a segment's carrier; `None` if it does not move, or the method does not assume it constant.
+pub(super) fn detect(method: Method, segment: &Segment) -> Option<Carrier> {
     takes_constant(method).then(|| moving(segment)).flatten()
 }
 
@@ -23,7 +23,7 @@ pub(super) fn takes_constant(method: Method) -> bool {
 
 /// Carrier of a segment if it moves, else `None`.
 pub(super) fn moving(segment: &Segment) -> Option<Carrier> {
-    Carrier::of(segment).filter(Carrier::moves)
+    Carrier::from_segment(segment).filter(Carrier::moves)
 }
 
 /// Parts of a segment that are warped separately: those that the method treats separately, so that mains zero crossings keep

@@ -43,7 +43,7 @@ fn a_swept_carrier_is_identified_as_well_as_a_constant_one() {
             for method in [Method::LeastSquares, Method::Lockin] {
                 let estimate =
                     run(method, &segment, &IdentifyOptions::default()).expect("a good segment");
-                let found = Accuracy::of(&estimate, &segment, &recording.truth, 0.0)
+                let found = Accuracy::measure(&estimate, &segment, &recording.truth, 0.0)
                     .expect("the truth of the same capture");
                 let middle = found.middle;
                 assert!(

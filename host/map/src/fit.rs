@@ -34,7 +34,7 @@ pub(crate) struct Datum {
 
 impl Datum {
     pub fn place(&self) -> Place {
-        Place::of(self.f_hz, self.i_a).aged(self.age_s)
+        Place::new(self.f_hz, self.i_a).aged(self.age_s)
     }
 }
 

@@ -46,7 +46,7 @@ pub(crate) struct Gap {
 
 impl Gap {
     /// Interpolates for a radius and a lift in metre; both are clamped to the table.
-    pub fn of(radius_m: f64, lift_m: f64) -> Self {
+    pub fn interpolate(radius_m: f64, lift_m: f64) -> Self {
         let (radius, lift) = (place(&RADII_M, radius_m), place(&LIFTS_M, lift_m));
         Self::weighted(
             (radius.first, radius.weights()),
@@ -202,7 +202,7 @@ mod tests {
                 .collect::<Vec<_>>();
             fresh.truncate(NUMBERS);
             let exact = Gap::from_numbers(&fresh.try_into().unwrap());
-            let found = Gap::of(radius_m, lift_m);
+            let found = Gap::interpolate(radius_m, lift_m);
             assert!(
                 (found.l0_h / exact.l0_h - 1.0).abs() < 5e-3,
                 "{} {}",

@@ -131,14 +131,14 @@ pub(crate) struct Comparison {
 
 impl Hypotheses {
     /// Fits all hypotheses to the data; `before` is the last result, and `again` queries the library anew. `None` under the
-    /// conditions of [`Posterior::of`].
-    pub fn of(
+    /// conditions of [`Posterior::from_data`].
+    pub fn fit(
         data: Vec<Datum>,
         library: Option<&Library>,
         before: Option<&Self>,
         again: bool,
     ) -> Option<Self> {
-        let any = Posterior::of(data.clone(), None, before.map(|b| b.any.fit()))?;
+        let any = Posterior::from_data(data.clone(), None, before.map(|b| b.any.fit()))?;
         let last = before.map_or(&[][..], |b| &b.others);
         let candidates = match library {
             Some(library) if again => library.candidates(&data),
@@ -149,7 +149,7 @@ impl Hypotheses {
             let start = start.map(|r| r.posterior.fit());
             let alone = without(&candidate.shape, &data);
             Some(LibraryHypothesis {
-                posterior: Posterior::of(alone, Some(&candidate.prior), start)?,
+                posterior: Posterior::from_data(alone, Some(&candidate.prior), start)?,
                 entry: candidate.id,
                 share: 0.0,
                 shape: candidate.shape,
@@ -204,7 +204,7 @@ impl Hypotheses {
             return None;
         }
         let restored = others.into_iter().map(|r| {
-            let shape = Shape::of(r.shape);
+            let shape = Shape::from_state(r.shape);
             Some(LibraryHypothesis {
                 posterior: Posterior::conditioned(r.fit, without(&shape, &data))?,
                 entry: r.entry,

@@ -43,7 +43,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    pub fn of(f_hz: f64, i_a: f64) -> Self {
+    pub fn new(f_hz: f64, i_a: f64) -> Self {
         Self {
             ln_f: f_hz.ln(),
             knots: current_knots(i_a),

@@ -39,7 +39,11 @@ pub(crate) struct Posterior {
 impl Posterior {
     /// Fits some hundred data at most; `believed` is the prior of a known pot, `start` the last fit. `None` if there are no data
     /// or a Cholesky factorisation fails.
-    pub fn of(data: Vec<Datum>, believed: Option<&Prior>, start: Option<&PotFit>) -> Option<Self> {
+    pub fn from_data(
+        data: Vec<Datum>,
+        believed: Option<&Prior>,
+        start: Option<&PotFit>,
+    ) -> Option<Self> {
         if data.is_empty() {
             return None;
         }

@@ -31,7 +31,7 @@ impl PotMap {
             beside: map - physics,
             seen,
         };
-        PotEntry::of(&fit, by)
+        PotEntry::from_fit(&fit, by)
     }
 
     fn measured_range(&self) -> Option<MeasuredRange> {

@@ -44,7 +44,7 @@ impl PotFit {
             && self.misfit.iter().all(|x| *x > 0.0)
     }
 
-    fn of(fitted: &Descent, misfit: [f64; 2]) -> Self {
+    fn from_descent(fitted: &Descent, misfit: [f64; 2]) -> Self {
         Self {
             from: fitted.prior.from,
             spread: fitted.prior.spread,
@@ -85,7 +85,7 @@ pub(crate) fn fit_pot(
     });
     if let Some((fitted, misfit)) = again {
         let misfit = best_misfit(few, &fitted, misfit).unwrap_or(misfit);
-        return Some(PotFit::of(&fitted, misfit));
+        return Some(PotFit::from_descent(&fitted, misfit));
     }
     let mut fitted = match believed {
         Some(prior) => fit(few, (prior, [0.0; COUNT]), CENTRED, FIRST_MISFIT, MAX_STEPS)?,
@@ -100,7 +100,7 @@ pub(crate) fn fit_pot(
         }
     }
     let fitted = fit(few, (&fitted.prior, fitted.steps), fitted.used, misfit, 6)?;
-    Some(PotFit::of(&fitted, misfit))
+    Some(PotFit::from_descent(&fitted, misfit))
 }
 
 /// At most [`MAX_DATA`] data, taken evenly from all.

@@ -306,7 +306,7 @@ impl PotMap {
         let again = another || before.is_none_or(|l| l.curves.len() != self.curves.len());
         let library = self.library.as_deref();
         let all = data(&self.curves, now_s);
-        let known = Hypotheses::of(all, library, before.map(|l| &l.hypotheses), again);
+        let known = Hypotheses::fit(all, library, before.map(|l| &l.hypotheses), again);
         self.learned = known.map(|hypotheses| LastFit {
             hypotheses,
             curves: self.curves.clone(),

@@ -148,7 +148,7 @@ pub struct FrequencyModel {
 impl FrequencyModel {
     fn new(model: &PotModel, f_hz: f64) -> Self {
         let (omega, rims) = (TAU * f_hz, model.rims());
-        let sector = |rim: &Rim| Sector::new(Gap::of(rim.at_m, model.lift_m));
+        let sector = |rim: &Rim| Sector::new(Gap::interpolate(rim.at_m, model.lift_m));
         Self {
             omega,
             surface: model.ln_s.exp() * (2.0 / omega).sqrt(),

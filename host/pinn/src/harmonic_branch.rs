@@ -129,7 +129,7 @@ impl HarmonicBranch {
             centre: 0.0,
         };
         let white = [white.0.sqrt(), white.1.sqrt()];
-        Excess::of(&fit, [&samples.v, &samples.i], [&self.v, &self.i], white)
+        Excess::compute(&fit, [&samples.v, &samples.i], [&self.v, &self.i], white)
     }
 
     /// Amplitude of the current's fundamental, harmonic 0 of the basis, at `tau_s` seconds after the first pair, normalised.

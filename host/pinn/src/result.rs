@@ -205,7 +205,7 @@ pub(crate) fn assemble_networks(
         .unzip();
     let (mut i_amplitude_a, mut r_power_ohm) = (Vec::new(), Vec::new());
     for tau in &tau_s {
-        let around = LocalMeans::of(samples, &signals, *tau);
+        let around = LocalMeans::compute(samples, &signals, *tau);
         i_amplitude_a.push(around.amplitude * samples.i_max_ampere);
         r_power_ohm.push(around.power_ratio / samples.impedance_scale());
     }
@@ -245,7 +245,7 @@ struct LocalMeans {
 }
 
 impl LocalMeans {
-    fn of(samples: &NormalisedWaveform, signals: &Signals, tau_s: f64) -> Self {
+    fn compute(samples: &NormalisedWaveform, signals: &Signals, tau_s: f64) -> Self {
         let reach_s = PERIODS * TAU / samples.omega;
         let time = |n: &usize| *n as f64 * samples.dt_s;
         // At the ends a stretch of the same length lies on one side.

@@ -79,22 +79,22 @@ pub(crate) struct Words {
 }
 
 impl Drawing {
-    /// Reads a figure.
-    pub(crate) fn of(svg: &str) -> Result<Self, DrawingError> {
+    /// Parses a figure.
+    pub(crate) fn parse(svg: &str) -> Result<Self, DrawingError> {
         let document = Document::parse(svg)?;
         let root = document.root_element();
         let elements = root.children().filter(Node::is_element);
         Ok(Self {
             size: (number(&root, "width")?, number(&root, "height")?),
             marks: elements
-                .map(|shape| Mark::of(&shape))
+                .map(|shape| Mark::from_node(&shape))
                 .collect::<Result<_, _>>()?,
         })
     }
 }
 
 impl Mark {
-    fn of(shape: &Node<'_, '_>) -> Result<Self, DrawingError> {
+    fn from_node(shape: &Node<'_, '_>) -> Result<Self, DrawingError> {
         let of = |name| number(shape, name);
         let steps = match shape.tag_name().name() {
             "rect" => {
@@ -107,7 +107,7 @@ impl Mark {
             "polyline" => connected(points(shape)?).collect(),
             "polygon" => connected(points(shape)?).chain([PathStep::Close]).collect(),
             "circle" => circle((of("cx")?, of("cy")?), of("r")?),
-            "text" => return Words::of(shape).map(Self::Words),
+            "text" => return Words::from_node(shape).map(Self::Words),
             other => return Err(DrawingError::Unknown(format!("an element <{other}>"))),
         };
         let width = match shape.attribute("stroke-width") {
@@ -132,7 +132,7 @@ impl Mark {
 }
 
 impl Words {
-    fn of(shape: &Node<'_, '_>) -> Result<Self, DrawingError> {
+    fn from_node(shape: &Node<'_, '_>) -> Result<Self, DrawingError> {
         let size = number(shape, "font-size")?;
         let before = match shape.attribute("text-anchor") {
             None | Some("start") => 0.0,
@@ -270,13 +270,16 @@ R / Ω (a)
 
     #[test]
     fn an_element_that_plotters_does_not_write_is_an_error() {
-        let error = |svg: &str| Drawing::of(svg).err().map(|why| why.to_string());
+        let error = |svg: &str| Drawing::parse(svg).err().map(|why| why.to_string());
         assert_eq!(
             error(&DRAWING.replace("<circle", "<image")).as_deref(),
             Some("the drawing has an element <image>, which only SVG can show")
         );
         let red = error(&DRAWING.replace("#1F77B4", "red")).unwrap();
         assert!(red.contains("stroke=\"red\""), "{red}");
-        assert!(matches!(Drawing::of("no svg"), Err(DrawingError::Svg(_))));
+        assert!(matches!(
+            Drawing::parse("no svg"),
+            Err(DrawingError::Svg(_))
+        ));
     }
 }

@@ -52,10 +52,10 @@ pub fn bytes(
 ) -> Result<Vec<u8>, FigureError> {
     let failed = |why: &dyn std::fmt::Display| FigureError::new(path, why);
     let drawn = svg(size, draw).map_err(|why| failed(&why))?;
-    let drawing = || Drawing::of(&drawn);
+    let drawing = || Drawing::parse(&drawn);
     match path.extension().and_then(|ending| ending.to_str()) {
-        Some("pdf") => drawing().map(|drawing| pdf::of(&drawing)),
-        Some("png") => drawing().and_then(|drawing| png::of(&drawing)),
+        Some("pdf") => drawing().map(|drawing| pdf::encode(&drawing)),
+        Some("png") => drawing().and_then(|drawing| png::encode(&drawing)),
         _ => return Ok(drawn.into_bytes()),
     }
     .map_err(|why| failed(&why))

@@ -43,7 +43,7 @@ pub struct LegendEntry {
 
 impl LegendEntry {
     /// Entry of a curve.
-    pub fn of(curve: &PlotCurve) -> Self {
+    pub fn from_curve(curve: &PlotCurve) -> Self {
         Self::line(&curve.name, curve.colour, curve.pen)
     }
 

@@ -202,7 +202,7 @@ mod tests {
         let outside = draw(&root, panel, curves).unwrap();
         root.present().unwrap();
         drop(root);
-        (Picture::of(&text), outside)
+        (Picture::new(&text), outside)
     }
 
     fn panel() -> PlotPanel {

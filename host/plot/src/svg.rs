@@ -7,7 +7,7 @@ pub struct Picture {
 
 impl Picture {
     /// A drawn figure from its text.
-    pub fn of(text: &str) -> Self {
+    pub fn new(text: &str) -> Self {
         Self { text: text.into() }
     }
 
@@ -16,7 +16,7 @@ impl Picture {
     /// # Panics
     /// Panics if the file cannot be read.
     pub fn read(path: &std::path::Path) -> Self {
-        Self::of(&std::fs::read_to_string(path).unwrap())
+        Self::new(&std::fs::read_to_string(path).unwrap())
     }
 
     /// Points of all polylines drawn in a colour (`#1F77B4`).

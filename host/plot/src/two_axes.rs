@@ -180,7 +180,7 @@ mod tests {
         draw(&root, "t / ms", Zero::Middle, sides, &Underlay::default()).unwrap();
         root.present().unwrap();
         drop(root);
-        Picture::of(&text)
+        Picture::new(&text)
     }
 
     #[test]

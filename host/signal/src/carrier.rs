@@ -64,7 +64,7 @@ pub struct Carrier {
 
 impl Carrier {
     /// Follows the carrier through a segment.
-    pub fn of(segment: &Segment) -> Option<Self> {
+    pub fn from_segment(segment: &Segment) -> Option<Self> {
         let Segment { t0_s, dt_s, .. } = *segment;
         // A constant offset does not pass the frames.
         match (segment.v_v.raw(), segment.i_a.raw()) {

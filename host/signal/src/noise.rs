@@ -51,7 +51,7 @@ pub struct WhiteNoise {
 impl WhiteNoise {
     /// Measures the noise of a segment; zero if it is shorter than 12 switching periods.
     pub fn measure(segment: &Segment) -> Self {
-        let Some(floor) = SpectralFloor::of(segment.len(), segment.samples_per_period()) else {
+        let Some(floor) = SpectralFloor::new(segment.len(), segment.samples_per_period()) else {
             return Self::default();
         };
         // An offset is not noise.
@@ -74,7 +74,7 @@ impl WhiteNoise {
 /// Standard deviation of a channel's white noise near the first harmonics, in its unit; `None` if the samples are
 /// too few.
 pub fn deviation<T: Copy + Into<f64>>(x: &[T], samples_per_period: f64) -> Option<f64> {
-    SpectralFloor::of(x.len(), samples_per_period)?.deviation(x)
+    SpectralFloor::new(x.len(), samples_per_period)?.deviation(x)
 }
 
 /// Measurement of the floor between the harmonics, for channels of one length.
@@ -87,8 +87,8 @@ struct SpectralFloor {
 
 impl SpectralFloor {
     /// `None` if the samples are too few.
-    fn of(samples: usize, samples_per_period: f64) -> Option<Self> {
-        let frames = Frames::of(samples, samples_per_period)?;
+    fn new(samples: usize, samples_per_period: f64) -> Option<Self> {
+        let frames = Frames::new(samples, samples_per_period)?;
         let places = frames.places();
         (!places.is_empty()).then(|| Self {
             window: sin6(frames.points),
@@ -188,7 +188,7 @@ struct Frames {
 }
 
 impl Frames {
-    fn of(samples: usize, samples_per_period: f64) -> Option<Self> {
+    fn new(samples: usize, samples_per_period: f64) -> Option<Self> {
         let periods = samples as f64 / samples_per_period;
         if !(periods.is_finite() && samples_per_period > 2.0) {
             return None;

@@ -84,7 +84,7 @@ pub struct Mre {
 impl Mre {
     /// Errors of estimates (time in seconds, R in ohm, L in henry) against the truth; times outside `[from_s, to_s]` do not
     /// count. `None` if no estimate is left to compare.
-    pub fn of(
+    pub fn compute(
         truth: &Truth,
         estimates: impl Iterator<Item = (f64, f64, f64)>,
         from_s: f64,
@@ -143,9 +143,9 @@ mod tests {
     #[test]
     fn mean_relative_error_counts_only_its_interval() {
         let estimates = [(0.5, 1.5, 3.3), (1.0, 2.2, 3.0), (2.0, 99.0, 99.0)];
-        let mre = Mre::of(&ramp(), estimates.into_iter(), 0.0, 1.5).unwrap();
+        let mre = Mre::compute(&ramp(), estimates.into_iter(), 0.0, 1.5).unwrap();
         assert!((mre.r_pct - 5.0).abs() < 1e-9 && (mre.l_pct - 5.0).abs() < 1e-9);
-        assert_eq!(Mre::of(&ramp(), estimates.into_iter(), 5.0, 6.0), None);
+        assert_eq!(Mre::compute(&ramp(), estimates.into_iter(), 5.0, 6.0), None);
         // Three parts of 0 and 10 % and one of 10 % and 0.
         let weight = |t: f64| if t < 0.7 { 3.0 } else { 1.0 };
         let first = estimates.into_iter().take(2);

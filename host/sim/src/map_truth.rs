@@ -263,7 +263,11 @@ impl TrueLoad {
     fn law(&self, f_sw_hz: f64) -> Result<TrueCurve, InverterError> {
         let mut state = self.prepared.start(f_sw_hz, STEPS_PER_PERIOD, None)?;
         if let (Some(warm_c), Some(base)) = (self.warm_c, self.pot.base) {
-            let warmth = Warmth::of(base, (self.pot.temperature_c, warm_c), self.winding_r_ohm);
+            let warmth = Warmth::from_temperatures(
+                base,
+                (self.pot.temperature_c, warm_c),
+                self.winding_r_ohm,
+            );
             if let Some(law) = self.prepared.law(warmth.law_hz(f_sw_hz)) {
                 state.set_hot_law(law, warmth);
             }

@@ -100,7 +100,7 @@ impl Perturbation {
 
     /// Returns the model with this departure.
     #[must_use]
-    pub fn of(self, standard: FieldSettings) -> FieldSettings {
+    pub fn apply_to(self, standard: FieldSettings) -> FieldSettings {
         let mut settings = standard;
         settings.material = self.material(settings.material);
         let geometry = &mut settings.geometry;

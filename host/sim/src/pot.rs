@@ -225,7 +225,7 @@ impl SimulatedPot {
                 ..FieldSettings::paper()
             };
             let settings = match self.perturbation {
-                Some(perturbation) => perturbation.of(settings),
+                Some(perturbation) => perturbation.apply_to(settings),
                 None => settings,
             };
             (weight, settings)

@@ -89,7 +89,7 @@ struct Body {
 }
 
 impl Body {
-    fn of(pot: &SimulatedPot) -> Self {
+    fn from_pot(pot: &SimulatedPot) -> Self {
         let (kg_per_m3, j_per_kgk, w_per_mk) = pot.base.unwrap_or(PotBase::Ferritic).thermal();
         let area_m2 = 0.25 * std::f64::consts::PI * pot.diameter_m * pot.diameter_m;
         let rim_m = std::f64::consts::PI * pot.diameter_m;
@@ -128,7 +128,7 @@ impl ThermalModel {
                 PotContents::Oil(litre) => litre * OIL.0,
                 PotContents::Food | PotContents::Empty => 0.0,
             },
-            body: Body::of(pot),
+            body: Body::from_pot(pot),
         }
     }
 

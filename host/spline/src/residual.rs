@@ -55,7 +55,7 @@ struct Left {
 impl Excess {
     /// Computes the excess of a fit from its coefficients of voltage and current; `white` holds the standard deviations of
     /// their white noise per sample.
-    pub fn of(
+    pub fn compute(
         fit: &HarmonicFit<'_>,
         samples: [&[f64]; 2],
         fitted: [&[f64]; 2],
@@ -223,7 +223,7 @@ mod tests {
             centre: 0.0,
         };
         let [a, b] = fit.normal_equations(&v, &v).solve().expect("regular");
-        Excess::of(&fit, [&v, &v], [&a, &b], [sigma, sigma])
+        Excess::compute(&fit, [&v, &v], [&a, &b], [sigma, sigma])
     }
 
     #[test]

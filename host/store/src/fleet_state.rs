@@ -77,7 +77,7 @@ pub enum FleetMark {
 
 impl FleetState {
     /// Reads the state from the columns `fleet` and `fleet_end`.
-    pub(crate) fn of(fleet: Option<i64>, end: Option<&str>) -> Self {
+    pub(crate) fn from_columns(fleet: Option<i64>, end: Option<&str>) -> Self {
         match (fleet, end) {
             (None, _) => Self::NotForFleet,
             (Some(0), _) => Self::Due,
@@ -297,7 +297,7 @@ impl Day {
             .connection
             .query_row(sql, params![device, boot, seq], |row| {
                 let end: Option<String> = row.get(1)?;
-                Ok(FleetState::of(row.get(0)?, end.as_deref()))
+                Ok(FleetState::from_columns(row.get(0)?, end.as_deref()))
             });
         state
             .optional()

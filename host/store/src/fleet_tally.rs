@@ -60,7 +60,7 @@ impl Day {
             let mut tally = FleetStates::default();
             while let Some(row) = rows.next()? {
                 let end: Option<String> = row.get(1)?;
-                let state = FleetState::of(row.get(0)?, end.as_deref());
+                let state = FleetState::from_columns(row.get(0)?, end.as_deref());
                 let windows = u64::try_from(row.get::<_, i64>(2)?).unwrap_or(0);
                 count(&mut tally, state, windows, row.get(3)?);
             }

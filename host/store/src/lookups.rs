@@ -80,7 +80,7 @@ pub struct Certainty {
 
 impl Certainty {
     /// Quantises a table of 0 to 1, and relative deviations of R and L.
-    pub fn of(confidence: &CellTable, sigma: &[CellTable; 2]) -> Self {
+    pub fn quantise(confidence: &CellTable, sigma: &[CellTable; 2]) -> Self {
         let byte = |x: &f64| (x.clamp(0.0, 1.0) * 255.0).round() as u8;
         // A deviation that is no number is a large one.
         let code = |x: &f64| match x.is_nan() {

@@ -22,7 +22,7 @@ pub struct Spread {
 
 impl Spread {
     /// Creates the spread of one value.
-    pub fn of(x: i64) -> Self {
+    pub fn from_value(x: i64) -> Self {
         Self {
             n: 1,
             min: x,
@@ -371,10 +371,10 @@ mod tests {
         let mut all = Spread::default();
         assert_eq!(all.min_mean_max(), None);
         for x in [3, -5, 10] {
-            all.merge(&Spread::of(x));
+            all.merge(&Spread::from_value(x));
         }
-        let mut two = Spread::of(100);
-        two.merge(&Spread::of(200));
+        let mut two = Spread::from_value(100);
+        two.merge(&Spread::from_value(200));
         all.merge(&two);
         // (3 - 5 + 10 + 100 + 200) / 5.
         assert_eq!(all.min_mean_max(), Some([-5.0, 61.6, 200.0]));

@@ -32,7 +32,7 @@ fn survey(c: &mut Criterion) {
         .sample_size(20)
         .throughput(Throughput::Elements(capture.len() as u64));
     group.bench_function("survey", |b| {
-        b.iter(|| Survey::of(black_box(&capture), &Hints::default()));
+        b.iter(|| Survey::from_capture(black_box(&capture), &Hints::default()));
     });
     let fft = ihd_signal::fourier::forward(capture.len());
     let x: Vec<f64> = capture.v_v.iter().map(|v| f64::from(*v)).collect();

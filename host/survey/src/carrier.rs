@@ -62,7 +62,7 @@ pub fn band(hint_hz: Option<f64>) -> (f64, f64) {
 
 /// Finds the pieces of a run in which the bridge switches at one frequency, within `band_hz`.
 pub fn find_pieces(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> CarrierPieces {
-    let lines = Lines::of(capture, run, band_hz);
+    let lines = Lines::compute(capture, run, band_hz);
     let strongest = lines.frames.iter().map(|l| l.power).fold(0.0, f64::max);
     let valid: Vec<bool> = lines
         .frames

@@ -66,7 +66,7 @@ pub(super) fn survey(
         for x in x[piece.run.samples.clone()].chunks(BLOCK_SAMPLES) {
             let part = vectorised(
                 #[inline(always)]
-                || Sums::of(x),
+                || Sums::accumulate(x),
             );
             (out.min, out.max) = (out.min.min(part.min), out.max.max(part.max));
             sum += part.sum;
@@ -113,7 +113,7 @@ struct Sums {
 impl Sums {
     /// Sums samples in eight lanes, which the compiler can vectorise.
     #[inline(always)]
-    fn of(x: &[f32]) -> Self {
+    fn accumulate(x: &[f32]) -> Self {
         const LANES: usize = 8;
         let (mut min, mut max) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
         let (mut sum, mut square) = ([0.0; LANES], [0.0; LANES]);

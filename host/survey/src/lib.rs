@@ -127,7 +127,7 @@ impl Survey {
     /// # Errors
     /// [`SurveyError`] if the capture cannot be used: channels of different length, too few
     /// samples, no switching frequency.
-    pub fn of(capture: &Capture, hints: &Hints) -> Result<Self, SurveyError> {
+    pub fn from_capture(capture: &Capture, hints: &Hints) -> Result<Self, SurveyError> {
         check(capture)?;
         let mut findings = Vec::new();
         let runs = time::runs(capture, &mut findings);

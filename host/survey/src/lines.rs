@@ -57,7 +57,7 @@ pub(super) struct Lines {
 
 impl Lines {
     /// Computes the lines of a run, within a band in hertz.
-    pub(super) fn of(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Self {
+    pub(super) fn compute(capture: &Capture, run: &Run, band_hz: (f64, f64)) -> Self {
         let every = ((1.0 / (run.dt_s * SEARCH_RATE_HZ)) as usize).max(1);
         let dt_s = run.dt_s * every as f64;
         let channels = [&capture.v_v, &capture.i_a].map(|x| {

@@ -31,7 +31,7 @@ fn capture(settings: &CaptureSpec) -> Capture {
 }
 
 fn survey(capture: &Capture) -> Survey {
-    Survey::of(capture, &Hints::default()).unwrap()
+    Survey::from_capture(capture, &Hints::default()).unwrap()
 }
 
 /// Distance of a time from the nearest zero crossing of a mains whose crossing is at `-start_s`.
@@ -123,7 +123,7 @@ fn a_part_of_a_half_cycle_gives_its_frequency_and_says_what_it_lacks() {
             zero_crossing_s: Some(-start_s),
             ..Hints::default()
         };
-        let hinted = Survey::of(&capture(&s), &hints).unwrap();
+        let hinted = Survey::from_capture(&capture(&s), &hints).unwrap();
         assert!(
             !hinted.findings.iter().any(unknown),
             "{:?}",
@@ -376,7 +376,7 @@ fn what_the_user_did_is_to_be_undone_not_done_again() {
     let mut c = capture(&settings(50e3, 10e-3));
     (c.v_full_scale_v, c.i_full_scale_a) = (None, None);
     let told = |c: &Capture, hints: Hints| {
-        let survey = Survey::of(c, &hints).unwrap();
+        let survey = Survey::from_capture(c, &hints).unwrap();
         let wiring = |f: &&Finding| matches!(f, Finding::Swapped { .. } | Finding::Inverted { .. });
         let found = survey.findings.iter().find(wiring);
         found.map(ToString::to_string).unwrap_or_default()
@@ -425,7 +425,7 @@ fn a_capture_without_samples_says_so() {
             dt_s: 0.0,
         },
     );
-    let refused = Survey::of(&c, &Hints::default()).unwrap_err();
+    let refused = Survey::from_capture(&c, &Hints::default()).unwrap_err();
     assert!(matches!(refused, SurveyError::Empty { .. }));
     assert!(
         refused.to_string().ends_with("holds no samples"),

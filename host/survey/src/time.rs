@@ -251,7 +251,7 @@ mod tests {
         }
     }
 
-    fn of(t_s: Vec<f64>) -> (Vec<Run>, Vec<Finding>) {
+    fn find_runs(t_s: Vec<f64>) -> (Vec<Run>, Vec<Finding>) {
         let mut findings = Vec::new();
         let n = t_s.len();
         let runs = runs(&capture(TimeBase::Stamps(t_s), n), &mut findings);
@@ -288,7 +288,7 @@ mod tests {
         let mut t: Vec<f64> = (0..1000).map(|k| f64::from(k) * 1e-6).collect();
         t[300..].iter_mut().for_each(|t| *t += 10e-6);
         t[700..].iter_mut().for_each(|t| *t -= 100e-6);
-        let (runs, findings) = of(t);
+        let (runs, findings) = find_runs(t);
         let ranges: Vec<_> = runs.iter().map(|r| r.samples.clone()).collect();
         assert_eq!(ranges, [0..300, 300..700, 700..1000]);
         assert!(
@@ -325,7 +325,7 @@ mod tests {
                 t.push(t[t.len() - 1] + 3.0 / (61.0 * f));
             }
         }
-        let (runs, findings) = of(t);
+        let (runs, findings) = find_runs(t);
         assert!(findings.is_empty(), "{findings:?}");
         assert_eq!(runs.len(), 3, "{runs:?}");
         for (run, (f, end)) in runs
@@ -343,7 +343,7 @@ mod tests {
         let t: Vec<f64> = (0..20_000)
             .map(|k| (f64::from(k) / 0.3).round() * 0.3e-6)
             .collect();
-        let (runs, findings) = of(t);
+        let (runs, findings) = find_runs(t);
         assert_eq!(runs.len(), 1, "{}", runs.len());
         assert!(findings.is_empty(), "{findings:?}");
         assert!((runs[0].dt_s / 1e-6 - 1.0).abs() < 1e-4);

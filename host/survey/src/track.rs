@@ -321,7 +321,7 @@ mod tests {
                 i_a,
                 ..Capture::default()
             };
-            let survey = Survey::of(&capture, &Hints::default()).unwrap();
+            let survey = Survey::from_capture(&capture, &Hints::default()).unwrap();
             let load = survey.spans[0].load.unwrap();
             assert!((load.r_ohm / 3.0 - 1.0).abs() < 0.01, "{rate_hz} {load:?}");
             assert!((load.l_h / 22e-6 - 1.0).abs() < 0.01, "{rate_hz} {load:?}");

@@ -186,7 +186,7 @@ impl Elements {
         }
     }
 
-    fn of(r: f64, l: f64, omega: f64, eddy: f64) -> Self {
+    fn from_r_l(r: f64, l: f64, omega: f64, eddy: f64) -> Self {
         if eddy == 0.0 {
             return Self {
                 r_s: r,
@@ -227,7 +227,7 @@ impl Circuit {
         LoadState {
             r_ohm,
             l_h,
-            elements: Elements::of(r_ohm, l_h, omega, self.load.eddy),
+            elements: Elements::from_r_l(r_ohm, l_h, omega, self.load.eddy),
         }
     }
 

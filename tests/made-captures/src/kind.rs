@@ -119,7 +119,7 @@ pub struct Plan {
 
 impl Plan {
     /// Draws a plan.
-    pub fn of(kind: Kind, seed: u64) -> Self {
+    pub fn draw(kind: Kind, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed.wrapping_mul(1000) + kind as u64);
         let mut plan = Self::sound(&mut rng);
         plan.disturb(kind, &mut rng);

@@ -28,6 +28,6 @@ pub fn make(kind: Kind, seed: u64) -> MadeCapture {
     MadeCapture {
         kind,
         seed,
-        recorded: Plan::of(kind, seed).record(seed),
+        recorded: Plan::draw(kind, seed).record(seed),
     }
 }

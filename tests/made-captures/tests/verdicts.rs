@@ -46,7 +46,7 @@ fn no_wrong_result_is_silent_and_what_can_be_corrected_is() {
         println!("{row}");
     }
     for method in score::METHODS {
-        let counts = Counts::of(all.iter().filter(|r| r.method == method));
+        let counts = Counts::from_rows(all.iter().filter(|r| r.method == method));
         assert_eq!(counts.silent, 0, "{method}: {counts:?}");
         assert_eq!(counts.refused_right, 0, "{method}: {counts:?}");
         assert_eq!(counts.said, 0, "{method}: {counts:?}");
@@ -109,7 +109,7 @@ fn section(all: &[Row], first: u64, seeds: u64) -> String {
     text += "### By method\n\n| method ";
     text += &head.replacen("|---:", "|---|---:", 1);
     for method in score::METHODS {
-        let counts = Counts::of(all.iter().filter(|r| r.method == method));
+        let counts = Counts::from_rows(all.iter().filter(|r| r.method == method));
         let _ = writeln!(text, "| `{method}` {counts}");
     }
     text += "\n### By kind, least squares\n\n| kind ";
@@ -118,7 +118,7 @@ fn section(all: &[Row], first: u64, seeds: u64) -> String {
         let of_kind = all
             .iter()
             .filter(|r| r.kind == *kind && r.method == score::METHODS[0]);
-        let counts = Counts::of(of_kind);
+        let counts = Counts::from_rows(of_kind);
         let _ = writeln!(text, "| {} {counts}", kind.name());
     }
     text

@@ -29,8 +29,8 @@ impl Field {
         (((1u64 << self.width) - 1) << self.bit) as u32
     }
 
-    /// Value of the field in a register's value.
-    pub const fn of(self, register: u32) -> u32 {
+    /// Extracts the field from a register's value.
+    pub const fn extract(self, register: u32) -> u32 {
         (register & self.mask()) >> self.bit
     }
 

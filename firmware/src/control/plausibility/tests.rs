@@ -84,7 +84,7 @@ fn the_balance_holds_whatever_the_link() {
     for load in [POT, SMALL, (2.2, 33.0)] {
         for f_hz in [45e3, 60e3, 79e3] {
             for c_2 in [1e-6, 2.2e-6, 4.7e-6, 10e-6] {
-                let ppm = BridgeBalance::of(&with_link(f_hz, load, c_2)).ppm();
+                let ppm = BridgeBalance::from_half_cycle(&with_link(f_hz, load, c_2)).ppm();
                 assert!(
                     (ppm - 1_000_000).abs() < 10_000,
                     "{load:?} {f_hz} {c_2}: {ppm}"

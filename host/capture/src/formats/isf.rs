@@ -106,10 +106,10 @@ impl IsfSource {
         })?;
         input.seek((curve + hash + 1) as u64)?;
         let length = block_length(&mut input)?;
-        Self::of(input, &header, length)
+        Self::from_header(input, &header, length)
     }
 
-    fn of(input: Input, header: &Header, length: u64) -> Result<Self, FormatError> {
+    fn from_header(input: Input, header: &Header, length: u64) -> Result<Self, FormatError> {
         let wrong = |what: String| Err(FormatError::at_byte(0, what));
         let kind = match (header.get("BN_F"), header.number("BYT_N")? as u32) {
             (Some("FP"), 4) => SampleType::F32,

@@ -174,7 +174,7 @@ struct Held {
 }
 
 impl Held {
-    fn of(path: &Path) -> Self {
+    fn read(path: &Path) -> Self {
         let mut held = Self::default();
         let mut outgoing = Deframer::new();
         let mut reader = McapReader::open(path).unwrap();
@@ -250,7 +250,7 @@ fn a_fault_is_recorded_with_the_seconds_before_and_after_it() {
     assert_eq!(ended.text, "0.5 s are over");
     use RecordingPhase::{Armed, Begun, Ended};
     assert_eq!(bench.phases(), [Armed, Begun, Ended]);
-    let held = Held::of(&ended.file.unwrap());
+    let held = Held::read(&ended.file.unwrap());
     // Beginning and end may cut a window.
     assert!(held.damaged == 0 && held.rejected <= 1, "{held:?}");
     // The trigger lies a second after the beginning, and the fault at it.
@@ -299,7 +299,7 @@ fn a_lifted_pot_is_recorded_by_its_power() {
     bench.pass(0.3);
     bench.hob.lock().set_pot(PotKind::None).unwrap();
     bench.until_it_ends();
-    let held = Held::of(&bench.ended().file.unwrap());
+    let held = Held::read(&bench.ended().file.unwrap());
     assert!(held.notes["trigger"].contains("below 100 W"), "{held:?}");
     assert!(near(held.trigger_s(), 0.5) && near(*held.telemetry_s.last().unwrap(), 0.8));
 }
@@ -317,7 +317,7 @@ fn what_was_before_the_command_is_recorded_too_and_in_step() {
     bench.start(settings).unwrap();
     bench.heat(900);
     bench.until_it_ends();
-    let held = Held::of(&bench.ended().file.unwrap());
+    let held = Held::read(&bench.ended().file.unwrap());
     assert!(near(held.trigger_s(), 0.8), "{held:?}");
     assert!(near(*held.telemetry_s.last().unwrap(), 1.1), "{held:?}");
     // The windows that its beginning and its end cut.
@@ -338,7 +338,7 @@ fn more_before_than_there_was_is_what_there_was() {
     bench.pass(0.5);
     let stopped = bench.recorder.stop("of a test").unwrap();
     stopped.wait().unwrap();
-    let held = Held::of(&stopped.file.unwrap());
+    let held = Held::read(&stopped.file.unwrap());
     assert!(near(held.trigger_s(), 0.5) && near(*held.telemetry_s.last().unwrap(), 1.0));
 }
 
@@ -364,7 +364,7 @@ fn a_level_that_is_exceeded_at_the_start_must_be_crossed() {
     bench.heat(1_200);
     bench.until_it_ends();
     let ended = bench.ended();
-    let held = Held::of(&ended.file.unwrap());
+    let held = Held::read(&ended.file.unwrap());
     assert!(held.notes["trigger"].contains("above 900 W"), "{held:?}");
     assert!(near(held.trigger_s(), 0.2) && near(*held.telemetry_s.last().unwrap(), 0.4));
 }
@@ -407,7 +407,7 @@ fn armed_it_survives_a_reconnect_and_sees_what_happened_meanwhile() {
     assert!(bench.recorder.active().is_some(), "it stays armed");
     bench.reconnect();
     bench.until_it_ends();
-    let held = Held::of(&bench.ended().file.unwrap());
+    let held = Held::read(&bench.ended().file.unwrap());
     assert!(held.notes["trigger"].starts_with("fault 22"), "{held:?}");
     // What came over the link that is gone belongs to another file.
     assert!(held.trigger_s() < 0.2, "{held:?}");
@@ -428,7 +428,7 @@ fn under_way_it_goes_on_in_a_second_file_for_the_rest_of_its_time() {
     bench.until_it_ends();
     assert_eq!(bench.ended().text, "1 s are over");
     assert_eq!(bench.recorder.active(), None);
-    let parts = ["file-1.mcap", "file-2.mcap"].map(|name| Held::of(&bench.dir.path().join(name)));
+    let parts = ["file-1.mcap", "file-2.mcap"].map(|name| Held::read(&bench.dir.path().join(name)));
     assert!(
         near(*parts[0].telemetry_s.last().unwrap(), 0.4),
         "{:?}",
@@ -483,7 +483,7 @@ fn a_file_of_its_largest_size_ends_the_recording_and_can_be_read() {
     let bytes = fs::metadata(&path).unwrap().len();
     // A chunk of the link, a window at most, and the index come on top.
     assert!((100_000..250_000).contains(&bytes), "{bytes}");
-    assert_eq!(Held::of(&path).damaged, 0);
+    assert_eq!(Held::read(&path).damaged, 0);
 }
 
 /// Records 0.2 s as a command does: the owner sets the device up, ends at the limit and leaves. Returns the file's bytes.
@@ -521,7 +521,7 @@ fn recorded_by_its_owner() -> Vec<u8> {
     assert!((0.2..0.22).contains(&progress.elapsed_s), "{progress:?}");
     client.set_power(0).unwrap();
     session.stop("of a test").unwrap().wait().unwrap();
-    let held = Held::of(&path);
+    let held = Held::read(&path);
     assert!(
         held.notes.keys().all(|key| !key.ends_with("_at")),
         "{held:?}"

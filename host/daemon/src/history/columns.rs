@@ -192,11 +192,15 @@ mod tests {
             state: State::Heating as u8,
             pot: Pot::Ferromagnetic as u8,
             fault: if at_s == 1 { 12 } else { 0 },
-            power_mw: Spread::of(power_mw),
-            i_crest_ma: Spread::of(20_000),
-            r_uohm: r_uohm.map(Spread::of).unwrap_or_default(),
-            l_ph: r_uohm.map(|_| Spread::of(30_000_000)).unwrap_or_default(),
-            f_sw_hz: r_uohm.map(|_| Spread::of(45_000)).unwrap_or_default(),
+            power_mw: Spread::from_value(power_mw),
+            i_crest_ma: Spread::from_value(20_000),
+            r_uohm: r_uohm.map(Spread::from_value).unwrap_or_default(),
+            l_ph: r_uohm
+                .map(|_| Spread::from_value(30_000_000))
+                .unwrap_or_default(),
+            f_sw_hz: r_uohm
+                .map(|_| Spread::from_value(45_000))
+                .unwrap_or_default(),
             ..TelemetrySpan::default()
         };
         let mut columns = Columns::new(ColumnGrid::new(0, 40_000, 5));

@@ -53,7 +53,7 @@ impl Inner {
 /// Returns a second that contains only this half-cycle.
 fn span(t: &Telemetry, at_s: i64) -> TelemetrySpan {
     let heating = |x: i64| match heats(t) {
-        true => Spread::of(x),
+        true => Spread::from_value(x),
         false => Spread::default(),
     };
     TelemetrySpan {
@@ -62,8 +62,8 @@ fn span(t: &Telemetry, at_s: i64) -> TelemetrySpan {
         state: t.state as u8,
         pot: t.pot as u8,
         fault: t.fault.number(),
-        power_mw: Spread::of(i64::from(t.power_mw)),
-        i_crest_ma: Spread::of(i64::from(t.i_crest_ma)),
+        power_mw: Spread::from_value(i64::from(t.power_mw)),
+        i_crest_ma: Spread::from_value(i64::from(t.i_crest_ma)),
         r_uohm: heating(i64::from(t.r.0)),
         l_ph: heating(i64::from(t.l.0)),
         f_sw_hz: heating(i64::from(t.f_sw_hz)),

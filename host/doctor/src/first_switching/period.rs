@@ -61,7 +61,7 @@ pub(crate) struct Impedance {
 
 impl Period {
     /// Averages the pairs of a window; `None` if a phase has no pair, or the window has no frequency.
-    pub(crate) fn of(window: &Window) -> Option<Self> {
+    pub(crate) fn from_window(window: &Window) -> Option<Self> {
         if window.f_sw_hz == 0 {
             return None;
         }

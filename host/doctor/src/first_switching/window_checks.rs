@@ -73,7 +73,7 @@ pub(super) fn window(
     bus_v: f64,
     reference: Option<ReferenceLoad>,
 ) -> Vec<Check> {
-    let Some(period) = Period::of(window) else {
+    let Some(period) = Period::from_window(window) else {
         let names = super::NAMES.into_iter().skip(3);
         return names
             .map(|name| Check::not_tested(name, "the window is too short"))
@@ -208,7 +208,7 @@ fn skew(window: &Window, scales: &FrontEnd, reference: Option<ReferenceLoad>) ->
         );
     };
     let capture = capture(window, scales);
-    let skew = Survey::of(&capture, &Hints::default())
+    let skew = Survey::from_capture(&capture, &Hints::default())
         .map_err(|e| e.to_string())
         .and_then(|survey| estimate(&capture, &survey, reference).map_err(|e| e.to_string()));
     let skew = match skew {

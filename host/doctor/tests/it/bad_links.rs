@@ -8,7 +8,7 @@ use ihd_link::{Client, LinkError, Transport};
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 
-use crate::desk::{Watched, complete, failed, of, on_bench};
+use crate::desk::{Watched, complete, failed, find_check, on_bench};
 
 fn hob() -> SharedHob {
     SharedHob::new(SimHob::new(&on_bench(40.0)))
@@ -33,7 +33,7 @@ fn a_cable_pulled_anywhere_leaves_a_whole_report() {
             "{frames}: a cable is no fault of the board"
         );
         assert_eq!(
-            of(&found.checks, "link_from_device").verdict,
+            find_check(&found.checks, "link_from_device").verdict,
             CheckResult::NotTested
         );
     }
@@ -51,7 +51,7 @@ fn a_cable_pulled_while_it_switches_is_told_and_the_device_ends_by_itself() {
         let (checks, lost) = first_switching::run(&mut client, None, &AtomicBool::new(false));
         complete(&checks, &first_switching::NAMES);
         assert!(lost.is_some(), "{frames}");
-        let off = of(&checks, "power_off");
+        let off = find_check(&checks, "power_off");
         assert_eq!(off.verdict, CheckResult::Fail, "{frames}: {off:?}");
         assert!(off.remedy.as_ref().unwrap().contains("supply off"));
         // 10 s without a host, on its own.
@@ -72,7 +72,7 @@ fn a_link_that_damages_frames_fails_by_its_own_numbers() {
     let found = board::examine(&mut client);
     complete(&found.checks, &board::NAMES);
     assert_ne!(
-        of(&found.checks, "link_from_device").verdict,
+        find_check(&found.checks, "link_from_device").verdict,
         CheckResult::Pass,
         "{:#?}",
         found.checks

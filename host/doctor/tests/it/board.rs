@@ -6,7 +6,7 @@ use ihd_sim::adc::ConverterNoise;
 use ihd_sim::hob::HobConfig;
 use ihd_sim::injection::{FaultChannel, Injection, InjectionKind};
 
-use crate::desk::{complete, connected, failed, of};
+use crate::desk::{complete, connected, failed, find_check};
 
 #[test]
 fn a_healthy_hob_fails_nothing_and_heats_no_sooner() {
@@ -22,7 +22,11 @@ fn a_healthy_hob_fails_nothing_and_heats_no_sooner() {
         "link_to_device",
         "link_from_device",
     ] {
-        assert_eq!(of(&found.checks, name).verdict, CheckResult::Pass, "{name}");
+        assert_eq!(
+            find_check(&found.checks, name).verdict,
+            CheckResult::Pass,
+            "{name}"
+        );
     }
     assert!(found.lost.is_none() && found.facts.is_ok());
     drop(client);
@@ -42,7 +46,7 @@ fn a_hob_that_heats_is_asked_for_no_test_and_goes_on() {
     complete(&found.checks, &board::NAMES);
     assert_eq!(failed(&found.checks), ["idle"]);
     for name in ["channels", "comparators", "clocks", "link_to_device"] {
-        let check = of(&found.checks, name);
+        let check = find_check(&found.checks, name);
         assert_eq!(
             (check.verdict, check.finding.as_str()),
             (CheckResult::NotTested, board::HEATS)
@@ -124,7 +128,7 @@ fn a_hob_without_mains_is_told_what_its_bench_lacks() {
             .unwrap();
     }
     let found = board::examine(&mut client);
-    let fault = of(&found.checks, "fault");
+    let fault = find_check(&found.checks, "fault");
     assert_eq!(fault.verdict, CheckResult::NotTested, "{fault:?}");
     assert!(fault.remedy.as_ref().unwrap().contains("24 V~"));
     assert_eq!(failed(&found.checks), [] as [&str; 0]);

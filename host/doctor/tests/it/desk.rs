@@ -24,8 +24,8 @@ pub fn connected(config: &HobConfig) -> (Client, SharedHob) {
     (Client::connect(Box::new(hob.clone())).unwrap(), hob)
 }
 
-/// The check of a name; there must be one.
-pub fn of<'a>(checks: &'a [Check], name: &str) -> &'a Check {
+/// Finds the check of a name; there must be one.
+pub fn find_check<'a>(checks: &'a [Check], name: &str) -> &'a Check {
     let mut found = checks.iter().filter(|check| check.name == name);
     let check = found
         .next()
@@ -37,7 +37,7 @@ pub fn of<'a>(checks: &'a [Check], name: &str) -> &'a Check {
 /// Asserts that each check is there, once, with any result.
 pub fn complete(checks: &[Check], names: &[&str]) {
     for name in names {
-        of(checks, name);
+        find_check(checks, name);
     }
     assert_eq!(checks.len(), names.len(), "{checks:#?}");
 }

@@ -11,7 +11,7 @@ use ihd_sim::inverter::supply::SupplyParts;
 use ihd_sim::transport::SharedHob;
 use ihd_survey::calibration::ReferenceLoad;
 
-use crate::desk::{Watched, complete, connected, failed, of, on_bench};
+use crate::desk::{Watched, complete, connected, failed, find_check, on_bench};
 
 static GO: AtomicBool = AtomicBool::new(false);
 
@@ -32,7 +32,7 @@ fn the_load_and_the_edges_are_those_of_the_table() {
         let (checks, lost) = switching::run(&mut client, None, &GO);
         complete(&checks, &switching::NAMES);
         assert_eq!((failed(&checks), lost), (vec![], None));
-        let load = &of(&checks, "load").evidence;
+        let load = &find_check(&checks, "load").evidence;
         for (name, expected, share) in [
             ("current", i_a, 0.02),
             ("R", r_ohm, 0.01),
@@ -45,7 +45,7 @@ fn the_load_and_the_edges_are_those_of_the_table() {
             );
         }
         // 15 nF · V / I at turn-off, 1.9 A at 40 V and 2.9 at 60: 0.32 and 0.31 µs, seen to 0.2 µs.
-        let edges = &of(&checks, "edges").evidence;
+        let edges = &find_check(&checks, "edges").evidence;
         for name in ["rise", "fall"] {
             let found_ns = number(edges, name);
             assert!(
@@ -72,7 +72,7 @@ fn a_known_load_gives_the_skew() {
     };
     let (mut client, _hob) = connected(&on_bench(40.0));
     let (checks, _) = switching::run(&mut client, Some(reference), &GO);
-    let skew = of(&checks, "skew");
+    let skew = find_check(&checks, "skew");
     // The simulated channels have none; R of the table is rounded to 1.4 %, which looks like 10 ns at most.
     assert!(number(&skew.evidence, "skew").abs() < 10.0, "{skew:?}");
     assert_eq!(skew.verdict, CheckResult::Pass, "{skew:?}");
@@ -113,7 +113,7 @@ fn nothing_is_switched_from_the_mains_or_a_wrong_supply() {
         complete(&checks, &switching::NAMES);
         let bus_v = config.bench_supply_v;
         assert_ne!(
-            of(&checks, "bench_supply").verdict,
+            find_check(&checks, "bench_supply").verdict,
             CheckResult::Pass,
             "{bus_v:?}"
         );
@@ -135,8 +135,11 @@ fn without_a_pot_it_says_so_and_switches_off() {
     let (checks, _) = switching::run(&mut client, None, &GO);
     complete(&checks, &switching::NAMES);
     assert_eq!(failed(&checks), [] as [&str; 0]);
-    assert_eq!(of(&checks, "switching").verdict, CheckResult::NotTested);
-    assert_eq!(of(&checks, "power_off").verdict, CheckResult::Pass);
+    assert_eq!(
+        find_check(&checks, "switching").verdict,
+        CheckResult::NotTested
+    );
+    assert_eq!(find_check(&checks, "power_off").verdict, CheckResult::Pass);
     assert_eq!(client.status().unwrap().asked_w, 0);
 }
 
@@ -145,8 +148,8 @@ fn an_interrupt_before_it_begins_switches_nothing_and_is_told() {
     let (mut client, watched) = watched(&on_bench(40.0));
     let (checks, _) = switching::run(&mut client, None, &AtomicBool::new(true));
     complete(&checks, &switching::NAMES);
-    assert!(of(&checks, "switching").finding.contains("^C"));
-    assert_eq!(of(&checks, "power_off").verdict, CheckResult::Pass);
+    assert!(find_check(&checks, "switching").finding.contains("^C"));
+    assert_eq!(find_check(&checks, "power_off").verdict, CheckResult::Pass);
     assert_eq!(*watched.asked_w.lock().unwrap(), [0]);
     assert_ne!(client.status().unwrap().state, State::Heating);
 }
@@ -167,9 +170,9 @@ fn an_interrupt_while_it_switches_switches_off_and_is_told() {
     person.join().unwrap();
     complete(&checks, &switching::NAMES);
     assert!(
-        of(&checks, "switching").finding.contains("^C"),
+        find_check(&checks, "switching").finding.contains("^C"),
         "{checks:#?}"
     );
-    assert_eq!(of(&checks, "power_off").verdict, CheckResult::Pass);
+    assert_eq!(find_check(&checks, "power_off").verdict, CheckResult::Pass);
     assert_eq!(*watched.asked_w.lock().unwrap(), [1, 0]);
 }

@@ -10,7 +10,7 @@ use crate::programmer::FlashStep;
 struct Script(VecDeque<Result<RunningBoard, String>>);
 
 impl Script {
-    fn of(said: impl IntoIterator<Item = Result<RunningBoard, String>>) -> Self {
+    fn new(said: impl IntoIterator<Item = Result<RunningBoard, String>>) -> Self {
         Self(said.into_iter().collect())
     }
 }
@@ -72,7 +72,7 @@ fn the_new_goes_over_the_old_and_is_heard() {
     let (old, new) = (old(), image(&SampleImage::default()));
     let mut fake = FakeProgrammer::with(&old);
     fake.write(LOOKUP_ADDRESS, b"lookup");
-    let mut link = Script::of([Ok(said(&old)), nothing(), nothing(), Ok(said(&new))]);
+    let mut link = Script::new([Ok(said(&old)), nothing(), nothing(), Ok(said(&new))]);
     let done = run(&mut fake, Some(&mut link), plan(&new)).unwrap();
     assert_eq!(
         done.before.describe(),
@@ -91,12 +91,12 @@ fn a_board_that_heats_is_left_alone() {
     let mut heating = said(&old);
     heating.heats = true;
     let mut fake = FakeProgrammer::with(&old);
-    let mut link = Script::of([Ok(heating)]);
+    let mut link = Script::new([Ok(heating)]);
     let why = run(&mut fake, Some(&mut link), plan(&new)).unwrap_err();
     assert!(matches!(why, InstallError::Heats { .. }), "{why}");
     // Without a link the timer's outputs tell.
     fake.switching = Some(true);
-    let mut link = Script::of([nothing()]);
+    let mut link = Script::new([nothing()]);
     for link in [Some(&mut link as &mut dyn BoardAccess), None] {
         let why = run(&mut fake, link, plan(&new)).unwrap_err();
         assert!(why.to_string().contains("outputs are on"), "{why}");
@@ -158,10 +158,10 @@ fn option_bytes_are_told_and_set_when_asked() {
 fn silence_and_another_board_are_told() {
     let (old, new) = (old(), image(&SampleImage::default()));
     let mut fake = FakeProgrammer::default();
-    let mut link = Script::of([nothing()]);
+    let mut link = Script::new([nothing()]);
     let why = run(&mut fake, Some(&mut link), plan(&new)).unwrap_err();
     assert!(matches!(why, InstallError::Silent { .. }), "{why}");
-    let mut link = Script::of([nothing(), Ok(said(&old))]);
+    let mut link = Script::new([nothing(), Ok(said(&old))]);
     let why = run(&mut fake, Some(&mut link), plan(&new)).unwrap_err();
     assert!(
         why.to_string()
@@ -172,19 +172,19 @@ fn silence_and_another_board_are_told() {
         hello_required: false,
         ..plan(&new)
     };
-    let mut link = Script::of([nothing()]);
+    let mut link = Script::new([nothing()]);
     let done = run(&mut fake, Some(&mut link), patient).unwrap();
     assert_eq!(done.silence.as_deref(), Some("nobody there"));
     // Another board on the same desk: neither does its heating count, nor is it what was flashed.
     let mut neighbour = said(&old);
     (neighbour.chip, neighbour.heats) = (Some(*b"fake chip 02"), true);
-    let mut link = Script::of([Ok(neighbour)]);
+    let mut link = Script::new([Ok(neighbour)]);
     let why = run(&mut fake, Some(&mut link), plan(&new)).unwrap_err();
     assert!(why.to_string().contains("only another board"), "{why}");
     // The same version, built from something else.
     let mut other = said(&new);
     other.build_id = None;
-    let mut link = Script::of([nothing(), Ok(other)]);
+    let mut link = Script::new([nothing(), Ok(other)]);
     let why = run(&mut fake, Some(&mut link), plan(&new)).unwrap_err();
     assert!(why.to_string().contains("build id: none"), "{why}");
 }

@@ -39,7 +39,7 @@ impl<F: FnMut() -> Result<Box<dyn Transport>, LinkError>> LogOpener for LinkLogO
         let board = client.board()?;
         let running = RunningProgram {
             build: client.hello().build.as_str().to_owned(),
-            build_id: BuildId::of(&board.build_id),
+            build_id: BuildId::from_bytes(&board.build_id),
             crc: Some(board.sealed_crc).filter(|_| board.image_bytes > 0),
         };
         client.stream_log(true)?;

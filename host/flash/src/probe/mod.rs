@@ -48,7 +48,7 @@ pub struct ProbeInfo {
 }
 
 impl ProbeInfo {
-    fn of(item: &ProbeListItem) -> Self {
+    fn from_item(item: &ProbeListItem) -> Self {
         let info = &item.info;
         let serial = info.serial_number.clone();
         let mut selector = format!("{:04x}:{:04x}", info.vendor_id, info.product_id);
@@ -95,7 +95,7 @@ impl Probes {
     /// Lists the connected probes.
     pub fn list(&self) -> Vec<ProbeInfo> {
         let probes = self.lister.list_all_with_access();
-        probes.iter().map(ProbeInfo::of).collect()
+        probes.iter().map(ProbeInfo::from_item).collect()
     }
 
     /// Connects to the chip behind a probe. Neither this nor reading resets or halts the chip.
@@ -137,19 +137,21 @@ impl Probes {
                 return Err(ProgramError::Several {
                     choices: several
                         .iter()
-                        .map(|item| ProbeInfo::of(item).describe())
+                        .map(|item| ProbeInfo::from_item(item).describe())
                         .collect(),
                     option: "--probe VID:PID:SERIAL",
                 });
             }
         };
-        Ok(ProbeInfo::of(item))
+        Ok(ProbeInfo::from_item(item))
     }
 
     /// Opens a probe, on whatever port it is now.
     fn open(&self, info: &ProbeInfo) -> Result<Probe, ProgramError> {
         let items = self.lister.list_all_with_access();
-        let item = items.iter().find(|item| ProbeInfo::of(item) == *info);
+        let item = items
+            .iter()
+            .find(|item| ProbeInfo::from_item(item) == *info);
         let item = item.ok_or_else(|| not_found(none_found(Some(&info.selector))))?;
         let probe = self.lister.open(&item.info);
         let mut probe = probe.map_err(|why| ProgramError::Open {

@@ -43,7 +43,7 @@ struct Ring {
 }
 
 impl Ring {
-    fn of(block: &[u32; BLOCK_WORDS]) -> Option<Self> {
+    fn parse(block: &[u32; BLOCK_WORDS]) -> Option<Self> {
         let [m0, m1, m2, m3, rings, _, _, buffer, bytes, written, read, _] = *block;
         let magic = [m0, m1, m2, m3].map(u32::to_le_bytes);
         if magic.as_flattened() != MAGIC || rings == 0 {
@@ -173,7 +173,7 @@ fn drain(
     // One transfer, as each has a cost: this runs fifty times a second.
     let mut words = [0; BLOCK_WORDS];
     target.read_words(block, &mut words)?;
-    let Some(ring) = Ring::of(&words) else {
+    let Some(ring) = Ring::parse(&words) else {
         return Ok(None);
     };
     let mut bytes = Vec::new();
@@ -213,7 +213,7 @@ mod tests {
 
     #[test]
     fn what_is_unread_goes_round_the_rings_end() {
-        let ring = Ring::of(&SANE).unwrap();
+        let ring = Ring::parse(&SANE).unwrap();
         assert_eq!(ring.unread(), [(0x2000_5004, 6), (0x2000_5000, 0)]);
         let round = Ring {
             written: 3,
@@ -230,7 +230,7 @@ mod tests {
         let with = |at: usize, value| {
             let mut words = SANE;
             words[at] = value;
-            Ring::of(&words)
+            Ring::parse(&words)
         };
         for (at, value) in [
             (0, 0),

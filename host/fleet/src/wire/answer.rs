@@ -107,7 +107,7 @@ impl AnswerMessage {
             skew_s: answer.skew_s,
             busy_ms: busy_ms.min(LONGEST_BUSY_MS),
             found: match &answer.load {
-                Ok(stated) => Outcome::Load(Load::of(stated)),
+                Ok(stated) => Outcome::Load(Load::from_stated(stated)),
                 Err(why) => Outcome::Nothing {
                     why: why.chars().take(LONGEST_TEXT / 4).collect(),
                 },
@@ -147,7 +147,7 @@ impl AnswerMessage {
 }
 
 impl Load {
-    fn of(stated: &StatedLoad) -> Self {
+    fn from_stated(stated: &StatedLoad) -> Self {
         let step = |s: &FitStep| Step(s.step, s.loss as f32, s.change.map(|c| c as f32));
         let remark = |r: &FitRemark| Remark {
             code: r.code.clone(),
@@ -155,11 +155,11 @@ impl Load {
             text: r.text.clone(),
         };
         Self {
-            t_s: Singles::of(&stated.t_s),
-            r_ohm: Singles::of(&stated.r_ohm),
-            l_h: Singles::of(&stated.l_h),
-            r_sigma_ohm: Singles::of(&stated.r_sigma_ohm),
-            l_sigma_h: Singles::of(&stated.l_sigma_h),
+            t_s: Singles::encode(&stated.t_s),
+            r_ohm: Singles::encode(&stated.r_ohm),
+            l_h: Singles::encode(&stated.l_h),
+            r_sigma_ohm: Singles::encode(&stated.r_sigma_ohm),
+            l_sigma_h: Singles::encode(&stated.l_sigma_h),
             iterations: stated.iterations,
             steps: stated.steps.iter().map(step).collect(),
             remarks: stated.remarks.iter().map(remark).collect(),

@@ -40,7 +40,7 @@ pub(super) fn unpack<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, MessageErro
 pub(super) struct Singles(#[serde(with = "serde_bytes")] Vec<u8>);
 
 impl Singles {
-    pub fn of(values: &[f64]) -> Self {
+    pub fn encode(values: &[f64]) -> Self {
         let bytes = values.iter().flat_map(|x| (*x as f32).to_le_bytes());
         Self(bytes.collect())
     }

@@ -44,7 +44,7 @@ pub(super) struct Residual {
 
 impl Residual {
     /// Demodulates a segment with a boxcar of so many switching periods; `None` if it has too few phasors.
-    pub(super) fn of(segment: &Segment, periods: f64) -> Option<Self> {
+    pub(super) fn demodulate(segment: &Segment, periods: f64) -> Option<Self> {
         let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
         let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
         let phasors = demodulate(segment, boxcar);
@@ -235,7 +235,7 @@ impl Residual {
         };
         let mut tones = Vec::new();
         while tones.len() < MAX_TONES {
-            let lines = Lines::of(&part.left, &part.weight);
+            let lines = Lines::compute(&part.left, &part.weight);
             let Some(line) = lines.and_then(|lines| lines.strongest(is_alias)) else {
                 break;
             };

@@ -87,7 +87,7 @@ pub(super) struct Censored<'a> {
 
 impl<'a> Censored<'a> {
     /// Fits a span; `None` if no window of it is whole.
-    pub(super) fn of(pair: Pair<'a>) -> Option<Self> {
+    pub(super) fn fit_span(pair: Pair<'a>) -> Option<Self> {
         let length = (WINDOW as f64 * pair.per_period).round() as usize;
         let windows = (pair.x.len() as f64 / pair.per_period) as usize;
         let windows = windows.checked_sub(WINDOW).filter(|n| *n > 0)?;

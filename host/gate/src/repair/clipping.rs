@@ -61,11 +61,12 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
             continue;
         }
         let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
-        let moves = || Carrier::of(&survey.segment(capture, span)).is_some_and(|c| c.moves());
+        let moves =
+            || Carrier::from_segment(&survey.segment(capture, span)).is_some_and(|c| c.moves());
         if per_period < MIN_PER_PERIOD || moves() {
             return None;
         }
-        let model = Censored::of(Pair {
+        let model = Censored::fit_span(Pair {
             x,
             y,
             is_voltage,

@@ -155,7 +155,7 @@ fn find(segment: &Segment) -> Vec<Jump> {
     }
     jumps.sort_by(|a, b| a.at.total_cmp(&b.at));
     // A carrier that moves turns both phases, too.
-    let moves = || Carrier::of(segment).is_some_and(|carrier| carrier.moves());
+    let moves = || Carrier::from_segment(segment).is_some_and(|carrier| carrier.moves());
     if jumps.is_empty() || jumps.len() > MAX_JUMPS || moves() {
         return Vec::new();
     }

@@ -41,7 +41,7 @@ pub fn repair<'a>(
     capture: Cow<'a, Capture>,
     hints: &Hints,
 ) -> Result<RepairedCapture<'a>, SurveyError> {
-    let survey = Survey::of(&capture, hints)?;
+    let survey = Survey::from_capture(&capture, hints)?;
     let mut repaired = RepairedCapture {
         capture,
         survey,
@@ -51,13 +51,13 @@ pub fn repair<'a>(
     for step in [wiring::repair, spikes::repair, gaps::repair] {
         if let Some(remark) = step(&mut repaired.capture, &repaired.survey) {
             repaired.remarks.push(remark);
-            repaired.survey = Survey::of(&repaired.capture, hints)?;
+            repaired.survey = Survey::from_capture(&repaired.capture, hints)?;
         }
     }
     if let Some(restored) = clipping::repair(&mut repaired.capture, &repaired.survey) {
         repaired.remarks.push(restored.remark);
         repaired.shares = restored.shares;
-        repaired.survey = Survey::of(&repaired.capture, hints)?;
+        repaired.survey = Survey::from_capture(&repaired.capture, hints)?;
     }
     Ok(repaired)
 }

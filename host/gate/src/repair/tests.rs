@@ -62,7 +62,7 @@ fn errors_pct(examined: &Examination, truth: &Capture) -> [f64; 2] {
         assert!(outcome.judgement.gate.passes(), "{:?}", outcome.judgement);
         let segment = &examined.segments[outcome.segment];
         let found = outcome.result.as_ref().unwrap();
-        let of = Accuracy::of(found, segment, &truth.truth, f64::NEG_INFINITY);
+        let of = Accuracy::measure(found, segment, &truth.truth, f64::NEG_INFINITY);
         if let Some(Accuracy { middle, .. }) = of {
             worst = [worst[0].max(middle.r_pct), worst[1].max(middle.l_pct)];
         }

@@ -114,7 +114,7 @@ impl SplineFit {
             ),
         })?;
         let white = [noise.v_v, noise.i_a];
-        let excess = Excess::of(&fit, [v_v, i_a], [&v, &i], white);
+        let excess = Excess::compute(&fit, [v_v, i_a], [&v, &i], white);
         Ok(Self {
             aliased: aliased(
                 segment.f_sw_hz,

@@ -52,7 +52,7 @@ const MIN_TREND_RATIO: f64 = 5.0;
 
 /// Steps in order of time.
 pub(super) fn steps(segment: &Segment) -> Vec<Step> {
-    let frames = Frames::of(segment);
+    let frames = Frames::compute(segment);
     let differences: Vec<f64> = (0..frames.z.len()).map(|k| frames.difference(k)).collect();
     let weighted = |k: usize| differences[k] * frames.current(k);
     let noise = (0..differences.len()).filter(|k| differences[*k] > 0.0);
@@ -138,7 +138,7 @@ struct Frames {
 impl Frames {
     /// Computes frames of two periods under a Hann window, which suppresses offset and harmonics; the slope is taken from the
     /// frame before to the one after.
-    fn of(segment: &Segment) -> Self {
+    fn compute(segment: &Segment) -> Self {
         let per_period = segment.samples_per_period();
         let (length, hop) = (
             (2.0 * per_period).round() as usize,

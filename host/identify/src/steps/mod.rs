@@ -24,7 +24,7 @@ const LEAST_PERIODS: f64 = ihd_signal::segment::MIN_PERIODS;
 pub(super) struct Steps(Vec<Step>);
 
 impl Steps {
-    pub(super) fn of(segment: &Segment) -> Self {
+    pub(super) fn detect(segment: &Segment) -> Self {
         Self(detect::steps(segment))
     }
 
@@ -54,7 +54,7 @@ pub(super) fn identify(
     let Steps(steps) = match known {
         Some(known) => known,
         None => {
-            detected = Steps::of(segment);
+            detected = Steps::detect(segment);
             &detected
         }
     };

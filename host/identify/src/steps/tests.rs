@@ -80,7 +80,8 @@ fn the_pieces_are_identified_and_joined_in_order_of_time() {
             assert!(estimate.t_s.windows(2).all(|t| t[0] < t[1]));
             let said = estimate.remarks.iter().filter(|r| r.code == "load_step");
             assert_eq!(said.count(), steps.len());
-            let found = accuracy::Accuracy::of(&estimate, &segment, &recording.truth, 0.0).unwrap();
+            let found =
+                accuracy::Accuracy::measure(&estimate, &segment, &recording.truth, 0.0).unwrap();
             // The truth itself takes two periods for a step: half of each is a quarter of a percent of the half-cycle.
             assert!(
                 found.middle.r_pct < 0.4 && found.middle.l_pct < 0.2,

@@ -94,7 +94,7 @@ impl CalibrateArgs {
 
     fn calibrate(&self, capture: &Capture, json: bool) -> Result<()> {
         let input = self.capture.input()?;
-        let survey = Survey::of(capture, &input.hints())?;
+        let survey = Survey::from_capture(capture, &input.hints())?;
         let calibration = match self.reference {
             Against::Known(reference) => estimate(capture, &survey, reference)?,
             Against::Plateaus => {

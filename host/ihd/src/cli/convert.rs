@@ -40,7 +40,7 @@ impl ConvertArgs {
     /// [`ihd_capture::CaptureError`] or [`ihd_capture::exports::ExportError`].
     pub fn run(&self, global: &Global) -> Result<()> {
         // A wrong ending is rejected before a long file is read.
-        format::check(&self.out).map_err(Usage::of)?;
+        format::check(&self.out).map_err(Usage::from_error)?;
         let unused = ["fsw", "mains", "zero-crossing", "resonance-capacitance"];
         self.capture.input()?.refuse(&unused)?;
         self.capture.ensure_not_read([self.out.as_path()])?;

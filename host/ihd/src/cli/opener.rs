@@ -32,7 +32,7 @@ impl Default for SimulatedHob {
 }
 
 impl SimulatedHob {
-    fn of(table: &toml::Table) -> Result<Self> {
+    fn from_table(table: &toml::Table) -> Result<Self> {
         let mut pairs = Vec::new();
         let mut speed = 1.0;
         for (key, value) in table {
@@ -71,7 +71,7 @@ pub fn opener(config: &mut DaemonConfig) -> Result<Arc<OpenDevice>> {
     let mut hobs: BTreeMap<String, SimulatedHob> = BTreeMap::new();
     for device in &mut config.devices {
         if device.address.spec == DeviceSpec::Sim {
-            let simulated = SimulatedHob::of(&device.address.sim)
+            let simulated = SimulatedHob::from_table(&device.address.sim)
                 .with_context(|| format!("device {:?}", device.name))?;
             let name = device.name.clone();
             let options = &mut device.address.sim;
@@ -117,7 +117,7 @@ mod tests {
         let table =
             "sim = { pot = \"aluminium\", warming = true, mains = 60, snr = 50.5, speed = 2 }";
         let config = config(table);
-        let simulated = SimulatedHob::of(&config.devices[0].address.sim).unwrap();
+        let simulated = SimulatedHob::from_table(&config.devices[0].address.sim).unwrap();
         assert_eq!(simulated.hob.mains_hz, 60.0);
         assert!(simulated.hob.warming);
         assert_eq!(simulated.speed, 2.0);

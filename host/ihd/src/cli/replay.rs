@@ -64,7 +64,7 @@ impl ReplayArgs {
     }
 
     fn replay(&self, capture: &Capture, json: bool) -> Result<()> {
-        let survey = Survey::of(capture, &self.capture.input()?.hints())?;
+        let survey = Survey::from_capture(capture, &self.capture.input()?.hints())?;
         let segments = survey.segments(capture);
         let settings = ReplayOptions {
             speed: self.speed,

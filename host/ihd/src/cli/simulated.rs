@@ -199,7 +199,7 @@ impl SimOptions {
             }
         };
         let pot = self.pot();
-        pot.field_settings(0.0).map_err(Usage::of)?;
+        pot.field_settings(0.0).map_err(Usage::from_error)?;
         let formulas = LoadKind::from(self.load) == LoadKind::Behavioural;
         let standard = SimulatedPot {
             diameter_m: pot.diameter_m,

@@ -229,7 +229,7 @@ impl TrainerArgs {
             return Ok(TrainingSource::Powers(self.power.clone()));
         };
         let capture = open(path, &OpenOptions::default())?;
-        let survey = Survey::of(&capture, &Hints::default())?;
+        let survey = Survey::from_capture(&capture, &Hints::default())?;
         let segments = survey.segments(&capture);
         let half_cycles: Vec<_> = segments
             .iter()

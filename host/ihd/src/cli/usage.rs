@@ -7,7 +7,7 @@ pub struct Usage(pub String);
 
 impl Usage {
     /// Wraps any error whose message names the argument.
-    pub fn of(error: impl std::fmt::Display) -> Self {
+    pub fn from_error(error: impl std::fmt::Display) -> Self {
         Self(error.to_string())
     }
 }

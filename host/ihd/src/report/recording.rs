@@ -115,7 +115,7 @@ fn load(area: &Area<'_>, title: &str, label: &str, curves: &[PlotCurve]) -> Draw
         x: Axis::linear("t / ms", from..to),
         y: Axis::linear(label, bottom..high + air),
     };
-    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
+    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::from_curve).collect();
     let below = header(area, title, &entries)?;
     plot::draw(&below, &panel, curves)?;
     Ok(())

@@ -212,7 +212,7 @@ fn spectrum_panel(area: &Area<'_>, capture: &Capture, span: &Span) -> DrawResult
         curve("voltage", BLUE, &all[0]),
         curve("current", RED, &all[1]),
     ];
-    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::of).collect();
+    let entries: Vec<LegendEntry> = curves.iter().map(LegendEntry::from_curve).collect();
     let below = header(area, "Spectra", &entries)?;
     plot::draw(&below, &panel, &curves)?;
     Ok(())

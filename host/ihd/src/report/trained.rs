@@ -92,7 +92,7 @@ fn draw(
     panels: &[(&str, Vec<PlotCurve>)],
 ) -> DrawResult {
     let entries: Vec<LegendEntry> = panels.first().map_or(Vec::new(), |(_, curves)| {
-        curves.iter().map(LegendEntry::of).collect()
+        curves.iter().map(LegendEntry::from_curve).collect()
     });
     let below = header(root, title, &entries)?;
     for (area, (label, curves)) in below.split_evenly((panels.len(), 1)).iter().zip(panels) {

@@ -178,8 +178,8 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// Answers that do not come are counted as missed.
-    pub fn of(address: SocketAddr) -> Self {
+    /// Starts to ask; answers that do not come are counted as missed.
+    pub fn start(address: SocketAddr) -> Self {
         let pulse = Self {
             stop: Arc::default(),
             worst_ms: Arc::default(),

@@ -65,7 +65,7 @@ fn against(all: &[(&str, hostile::Serve)], seconds: f64) {
 
         let address = configure(folder.path(), "", &devices).unwrap();
         let mut daemon = Daemon::start(folder.path(), address).unwrap();
-        let pulse = Pulse::of(address);
+        let pulse = Pulse::start(address);
         let until = Instant::now() + Duration::from_secs_f64(seconds);
         while Instant::now() < until {
             thread::sleep(Duration::from_millis(200));

@@ -45,7 +45,7 @@ fn many(count: usize, seconds: f64) {
         .collect();
     let address = configure(folder.path(), "", &devices).unwrap();
     let mut daemon = Daemon::start(folder.path(), address).unwrap();
-    let pulse = Pulse::of(address);
+    let pulse = Pulse::start(address);
     let number = |r: &Value, fate: &str| r["windows"][fate].as_u64().unwrap_or(0);
     daemon.until("each has a window", |all| {
         all.iter().all(|r| number(r, "stored") > 0)

@@ -89,7 +89,7 @@ impl Bench {
             let at = self.players[0].truth().off_at;
             reached.push(at.expect("it was told").duration_since(began));
         }
-        let [(median, worst), (answer, latest)] = [reached, answered].map(of);
+        let [(median, worst), (answer, latest)] = [reached, answered].map(median_and_max_ms);
         println!(
             "| {what} | {offs} | {median:.1} | {worst:.1} | {answer:.1} | {latest:.1} | {again} | {} |",
             load()
@@ -105,7 +105,7 @@ impl Bench {
 }
 
 /// Median and largest, in milliseconds.
-fn of(mut times: Vec<Duration>) -> (f64, f64) {
+fn median_and_max_ms(mut times: Vec<Duration>) -> (f64, f64) {
     times.sort();
     let ms = |time: &Duration| 1e3 * time.as_secs_f64();
     (ms(&times[times.len() / 2]), ms(&times[times.len() - 1]))

@@ -28,7 +28,7 @@ impl Lab {
         first.sees_fleet = true;
         let lab = Site::new("lab", vec![first, "lab-2=hob-c".parse().unwrap()], 2);
         let field = Site::new("field", vec!["field-1=hob-a".parse().unwrap()], 1);
-        let lab = Self::of(vec![lab, field]);
+        let lab = Self::with_sites(vec![lab, field]);
         // 12 GB for each site, in GiB, independent of the disk's free space.
         let log = lab.server.log();
         assert!(log.contains("Max Storage:     22.35 GB"), "{log}");
@@ -39,7 +39,7 @@ impl Lab {
     }
 
     /// Starts an empty server for sites.
-    pub fn of(sites: Vec<Site>) -> Self {
+    pub fn with_sites(sites: Vec<Site>) -> Self {
         let names = sites.iter().flat_map(|site| site.key_names(true));
         let keys: BTreeMap<_, _> = names.map(|name| (name, UserKey::make().unwrap())).collect();
         let server = Server::configured(|place| server_config(&at(place), &sites, &keys).unwrap());

@@ -63,7 +63,7 @@ impl Mqtt {
     }
 
     /// Connects as a user of the lab.
-    async fn of(lab: &Lab, user: &str) -> Self {
+    async fn connect_as(lab: &Lab, user: &str) -> Self {
         let connected = Self::connect(lab, user, lab.key(user).seed()).await;
         connected.unwrap_or_else(|why| panic!("{user}: {why}\n{}", lab.server.log()))
     }
@@ -126,7 +126,7 @@ impl Mqtt {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn states_that_an_edge_publishes_arrive_over_mqtt() {
     let lab = Lab::start().await;
-    let mut mqtt = Mqtt::of(&lab, "lab-mqtt").await;
+    let mut mqtt = Mqtt::connect_as(&lab, "lab-mqtt").await;
     assert!(mqtt.subscribe("ihd/v1/+/state").await);
     let edge = lab.client("lab-edge-lab-1").await;
     for hob in ["hob-a", "hob-b"] {
@@ -169,7 +169,7 @@ async fn home_assistant_finds_each_quantity_after_its_birth() {
     }
     edge.flush().await.unwrap();
     publish_at_birth(edge.clone(), "hob-a").await;
-    let mut home = Mqtt::of(&lab, "lab-home-assistant").await;
+    let mut home = Mqtt::connect_as(&lab, "lab-home-assistant").await;
     assert!(home.subscribe("homeassistant/+/+/+/config").await);
     assert_eq!(home.next(QUIET).await, None);
 
@@ -212,17 +212,17 @@ async fn who_reads_by_mqtt_may_only_read_and_only_states() {
         message.flatten().map(|message| message.payload)
     };
     for user in ["lab-mqtt", "lab-home-assistant"] {
-        let mut mqtt = Mqtt::of(&lab, user).await;
+        let mut mqtt = Mqtt::connect_as(&lab, user).await;
         mqtt.publish("ihd/v1/hob-a/state", "no").await;
-        let mut mqtt = Mqtt::of(&lab, user).await;
+        let mut mqtt = Mqtt::connect_as(&lab, user).await;
         mqtt.publish("ihd/v1/hob-a/window", "no").await;
         assert_eq!(hears(&mut all), None, "{user}");
         // A new connection: the server may have ended the one before.
-        let mut mqtt = Mqtt::of(&lab, user).await;
+        let mut mqtt = Mqtt::connect_as(&lab, user).await;
         mqtt.publish("homeassistant/status", "online").await;
         let may = user == "lab-home-assistant";
         assert_eq!(hears(&mut status).is_some(), may, "{user}");
-        let mut mqtt = Mqtt::of(&lab, user).await;
+        let mut mqtt = Mqtt::connect_as(&lab, user).await;
         for (topics, may) in [
             ("ihd/v1/hob-a/state", true),
             ("homeassistant/#", true),

@@ -519,7 +519,7 @@ async fn who_is_not_known_is_told_so_and_a_strange_server_is_refused() {
     let why = format!("{refused} {:?}", std::error::Error::source(&refused));
     assert!(why.contains("UnknownIssuer"), "{why}");
     // And with another's, neither.
-    let other = Lab::of(Vec::new());
+    let other = Lab::with_sites(Vec::new());
     let fooled = ConnectOptions::with_nkey(lab.key(key).seed().to_owned())
         .add_root_certificates(other.certificate())
         .require_tls(true);

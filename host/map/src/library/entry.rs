@@ -97,7 +97,7 @@ pub(crate) struct ExportedFit {
 
 impl PotEntry {
     /// Creates an entry from a fit; `None` if a number is outside the range of entries.
-    pub(crate) fn of(fit: &ExportedFit, by: Provenance) -> Option<Self> {
+    pub(crate) fn from_fit(fit: &ExportedFit, by: Provenance) -> Option<Self> {
         let ExportedFit {
             model,
             factor,

@@ -185,7 +185,7 @@ impl Library {
         let every = data.len().div_ceil(SCREENING_DATA).max(1);
         let few: Vec<Datum> = data.iter().copied().step_by(every).collect();
         let screen = |entry: &PotEntry| {
-            let candidate = Candidate::of(entry);
+            let candidate = Candidate::from_entry(entry);
             let (few, none) = (candidate.without_shape(&few), [0.0; COUNT]);
             let fitted = fit(
                 &few,
@@ -213,11 +213,11 @@ pub(crate) struct Candidate {
 }
 
 impl Candidate {
-    fn of(entry: &PotEntry) -> Self {
+    fn from_entry(entry: &PotEntry) -> Self {
         Self {
             id: entry.id().to_owned(),
             prior: entry.prior(),
-            shape: Shape::of(entry.shape()),
+            shape: Shape::from_state(entry.shape()),
         }
     }
 

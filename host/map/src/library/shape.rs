@@ -35,7 +35,7 @@ pub fn places() -> Vec<(f64, f64)> {
 }
 
 static AT: LazyLock<Vec<Place>> = LazyLock::new(|| {
-    let of = |(f_hz, i_a): (f64, f64)| Place::of(f_hz, i_a);
+    let of = |(f_hz, i_a): (f64, f64)| Place::new(f_hz, i_a);
     places().into_iter().map(of).collect()
 });
 
@@ -108,7 +108,7 @@ pub(crate) struct Shape {
 
 impl Shape {
     /// Interpolates a stored shape, which must be sound.
-    pub fn of(state: ShapeState) -> Self {
+    pub fn from_state(state: ShapeState) -> Self {
         let weights = [0, 1].map(|x| {
             let code = |k: usize| state.codes.get(x * POINTS + k).copied().unwrap_or(0);
             let ln = DVector::from_fn(POINTS, |k, _| f64::from(code(k)) * UNIT);
@@ -125,7 +125,7 @@ impl Shape {
 
     /// ln R and ln L beside the physics at a frequency in hertz and a current in ampere.
     pub fn at(&self, f_hz: f64, i_a: f64) -> [f64; 2] {
-        let here = Place::of(f_hz, i_a);
+        let here = Place::new(f_hz, i_a);
         let near = DVector::from_iterator(POINTS, AT.iter().map(|at| at.correlation(here)));
         [0, 1].map(|x| near.dot(&self.weights[x]))
     }
@@ -137,8 +137,8 @@ impl Shape {
             i_a: [low_a, high_a],
             misfit,
         } = self.state.range;
-        let nearest = Place::of(f_hz.clamp(low_hz, high_hz), i_a.clamp(low_a, high_a));
-        let common = Place::of(f_hz, i_a).correlation(nearest).powi(2);
+        let nearest = Place::new(f_hz.clamp(low_hz, high_hz), i_a.clamp(low_a, high_a));
+        let common = Place::new(f_hz, i_a).correlation(nearest).powi(2);
         misfit.map(|tau| tau * tau * ((1.0 - common).max(0.0) + TRANSFER * TRANSFER))
     }
 }

@@ -33,7 +33,7 @@ fn sample_fit(model: PotModel, sigma: [f64; COUNT]) -> ExportedFit {
 fn entry(hob: &str, t_unix_s: u64, change: impl Fn(&mut PotModel)) -> PotEntry {
     let mut model = PotModel::PAPER;
     change(&mut model);
-    PotEntry::of(&sample_fit(model, SIGMA), by(hob, t_unix_s)).expect("a sound entry")
+    PotEntry::from_fit(&sample_fit(model, SIGMA), by(hob, t_unix_s)).expect("a sound entry")
 }
 
 #[test]
@@ -158,7 +158,7 @@ fn who_is_certain_of_himself_counts_no_more_than_the_transfer_allows() {
         ..PotModel::PAPER
     };
     for k in 0..50 {
-        let lie = PotEntry::of(&sample_fit(lie, certain), by("liar", 2 + k)).unwrap();
+        let lie = PotEntry::from_fit(&sample_fit(lie, certain), by("liar", 2 + k)).unwrap();
         let _ = library.add(lie).unwrap();
     }
     // By the transfer's 0.06 on both sides and the honest one's own 0.04 less than .6 of the way, however often it is said.

@@ -14,8 +14,8 @@ use crate::drawing::{Drawing, Mark, Outline, PathStep};
 /// Points per pixel: a pixel is 1/96 inch, a point 1/72.
 const POINTS_PER_PIXEL: f32 = 0.75;
 
-/// Returns the file of a figure.
-pub(crate) fn of(drawing: &Drawing) -> Vec<u8> {
+/// Encodes a figure as a PDF file.
+pub(crate) fn encode(drawing: &Drawing) -> Vec<u8> {
     let (width, height) = drawing.size;
     let opacities: BTreeSet<u16> = drawing.marks.iter().map(permille).collect();
 
@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn shapes_keep_their_places_colours_and_opacities() {
-        let page = of(&Drawing::of(DRAWING).unwrap());
+        let page = encode(&Drawing::parse(DRAWING).unwrap());
         let page = String::from_utf8_lossy(&page);
         assert!(page.starts_with("%PDF-1.") && page.trim_end().ends_with("%%EOF"));
         // 200 by 100 pixels are 150 by 75 points.

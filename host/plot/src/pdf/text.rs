@@ -181,14 +181,14 @@ pub(super) fn write(content: &mut Content, words: &Words) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::of;
+    use super::super::encode;
     use crate::drawing::Drawing;
 
     fn page(text: &str, more: &str) -> String {
         let svg = format!(
             r##"<svg width="200" height="100"><text x="100" y="50" font-size="10" fill="#000000" {more}>{text}</text></svg>"##
         );
-        String::from_utf8_lossy(&of(&Drawing::of(&svg).unwrap())).into_owned()
+        String::from_utf8_lossy(&encode(&Drawing::parse(&svg).unwrap())).into_owned()
     }
 
     #[test]

@@ -98,7 +98,7 @@ mod tests {
         let svg = format!(
             r##"<svg width="200" height="100"><text x="100" y="50" font-size="10" fill="#000000" {more}>{text}</text></svg>"##
         );
-        let drawing = Drawing::of(&svg).unwrap();
+        let drawing = Drawing::parse(&svg).unwrap();
         let [Mark::Words(words)] = &drawing.marks[..] else {
             panic!("one text");
         };

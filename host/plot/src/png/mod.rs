@@ -12,11 +12,11 @@ const SCALE: f32 = 2.0;
 /// Pixels per metre: 192 to the inch.
 const PER_METRE: u32 = 7559;
 
-/// Returns the file of a figure.
+/// Encodes a figure as a PNG file.
 ///
 /// # Errors
 /// [`DrawingError::Pixels`] if the figure has no pixels or more than PNG can have.
-pub(crate) fn of(drawing: &Drawing) -> Result<Vec<u8>, DrawingError> {
+pub(crate) fn encode(drawing: &Drawing) -> Result<Vec<u8>, DrawingError> {
     let mut raster = Raster::new(drawing.size);
     for mark in &drawing.marks {
         match mark {
@@ -151,7 +151,7 @@ mod tests {
 
     #[test]
     fn shapes_and_texts_are_where_the_drawing_has_them() {
-        let (width, height, pixels) = decoded(&of(&Drawing::of(DRAWING).unwrap()).unwrap());
+        let (width, height, pixels) = decoded(&encode(&Drawing::parse(DRAWING).unwrap()).unwrap());
         assert_eq!((width, height), (400, 200));
         let at = |x: u32, y: u32| {
             let first = 3 * (y * width + x) as usize;
@@ -171,7 +171,7 @@ mod tests {
 
     #[test]
     fn a_figure_without_pixels_is_an_error() {
-        let empty = Drawing::of(&DRAWING.replacen("200", "0", 1)).unwrap();
-        assert!(matches!(of(&empty), Err(DrawingError::Pixels(_))));
+        let empty = Drawing::parse(&DRAWING.replacen("200", "0", 1)).unwrap();
+        assert!(matches!(encode(&empty), Err(DrawingError::Pixels(_))));
     }
 }

@@ -44,7 +44,7 @@ fn a_sweep_is_followed_at_any_rate_and_in_noise() {
         for (sampling, snr_db) in [(50e6, None), (2.5e6, Some(30.0)), (1e6, None)] {
             let f = sweep(deviation, rate);
             let segment = swept(sampling, &f, snr_db);
-            let carrier = Carrier::of(&segment).unwrap();
+            let carrier = Carrier::from_segment(&segment).unwrap();
             assert!(carrier.moves());
             let seen = carrier.sweep();
             assert!(
@@ -67,7 +67,7 @@ fn a_sweep_is_followed_at_any_rate_and_in_noise() {
 #[test]
 fn a_constant_carrier_does_not_move() {
     for (sampling, snr_db) in [(50e6, None), (2.5e6, Some(20.0)), (1e6, Some(20.0))] {
-        let carrier = Carrier::of(&swept(sampling, |_| 50_013.0, snr_db)).unwrap();
+        let carrier = Carrier::from_segment(&swept(sampling, |_| 50_013.0, snr_db)).unwrap();
         assert!(!carrier.moves());
         // With half of the margin left.
         let strong = carrier.values().filter(|v| v.2 > 0.2);
@@ -80,10 +80,10 @@ fn a_constant_carrier_does_not_move() {
 #[test]
 fn warped_samples_have_one_frequency_and_come_back() {
     let segment = swept(2.5e6, sweep(5e3, 100.0), None);
-    let carrier = Carrier::of(&segment).unwrap();
+    let carrier = Carrier::from_segment(&segment).unwrap();
     let warp = Warp::new(&segment, &carrier, 0..25_000);
     let warped = warp.samples();
-    let again = Carrier::of(&warped).unwrap();
+    let again = Carrier::from_segment(&warped).unwrap();
     assert!(again.sweep().deviation_hz < 15.0, "{:?}", again.sweep());
     let narrow = |x: &[f64]| -> Vec<f32> { x.iter().map(|x| *x as f32).collect() };
     let back = warp.unwarped(&narrow(&warped.i_a));

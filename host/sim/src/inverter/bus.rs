@@ -66,7 +66,7 @@ struct Reciprocals {
 }
 
 impl Reciprocals {
-    fn of(parts: &SupplyParts) -> Self {
+    fn from_parts(parts: &SupplyParts) -> Self {
         Self {
             line_l: parts.line_l_h.recip(),
             choke_l: parts.choke_l_h.recip(),
@@ -120,7 +120,7 @@ impl Bus {
     /// For parts that are out of range.
     pub fn new(mains: SimulatedMains, parts: SupplyParts, t_s: f64) -> Result<Self, InverterError> {
         parts.check()?;
-        let per = Reciprocals::of(&parts);
+        let per = Reciprocals::from_parts(&parts);
         Ok(Self {
             mains,
             parts,

@@ -70,7 +70,11 @@ impl Warmth {
     }
 
     /// Creates one for a law of a metal at the first of two temperatures in °C, heated to the second.
-    pub fn of(base: PotBase, (law_c, hot_c): (f64, f64), winding_r_ohm: f64) -> Self {
+    pub fn from_temperatures(
+        base: PotBase,
+        (law_c, hot_c): (f64, f64),
+        winding_r_ohm: f64,
+    ) -> Self {
         let factor = base.heat_factor(hot_c) / base.heat_factor(law_c);
         Self::new(factor, winding_r_ohm)
     }

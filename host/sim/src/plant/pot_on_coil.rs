@@ -109,7 +109,7 @@ impl PotOnCoil {
         };
         // The law is that of the pot at the temperature at which it was put on.
         let heated_c = (self.pot.temperature_c, self.load_c);
-        let warmth = Warmth::of(base, heated_c, self.load_library.winding_r_ohm());
+        let warmth = Warmth::from_temperatures(base, heated_c, self.load_library.winding_r_ohm());
         let law_hz = warmth.law_hz(inverter.f_sw_hz());
         if let Some(law) = self.load_library.law(&self.pot, law_hz) {
             inverter.load.set_hot_law(law, warmth);

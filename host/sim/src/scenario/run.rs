@@ -166,7 +166,7 @@ impl Run {
 
     fn finish(self, duration_s: f64) -> Record {
         let locked = self.hob.housekeeping().control().state() == State::LockedOut;
-        let mut summary = summary::of(&self.half_cycles, &self.marks, duration_s);
+        let mut summary = summary::summarise(&self.half_cycles, &self.marks, duration_s);
         summary.latched = locked && (self.host.asked_w() > 0 || self.panel_level > Some(0));
         summary.energy_j = self.energy_j;
         summary.watchdog_bites = self.hob.watchdog_bites();

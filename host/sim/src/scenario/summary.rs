@@ -98,7 +98,7 @@ fn error_pct(span: &[TrueHalfCycle], to_s: f64, asked_w: f64) -> Option<f64> {
 }
 
 /// Computes the summary, except for the fields that only the run knows.
-pub fn of(half_cycles: &[TrueHalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
+pub fn summarise(half_cycles: &[TrueHalfCycle], marks: &[Mark], duration_s: f64) -> Summary {
     let (mut steps, mut recoveries) = (Vec::new(), Vec::new());
     let mut asked_w = 0.0;
     for (n, mark) in marks.iter().enumerate() {
@@ -165,7 +165,7 @@ mod tests {
             .chain([900.0, 1060.0])
             .chain([1020.0; 43]);
         let all = half_cycles(powers);
-        let summary = of(&all, &[mark(0.0, Kind::Power(1000))], 0.5);
+        let summary = summarise(&all, &[mark(0.0, Kind::Power(1000))], 0.5);
         let step = &summary.steps[0];
         assert!(
             (step.settled_after_s.unwrap() - 0.07).abs() < 1e-9,
@@ -184,7 +184,7 @@ mod tests {
             mark(0.5, Kind::Disturbed),
             mark(0.9, Kind::Power(500)),
         ];
-        let summary = of(&all, &marks, 1.0);
+        let summary = summarise(&all, &marks, 1.0);
         assert_eq!(summary.settled_after_s, [None, None]);
         assert!((summary.error_pct - 100.0).abs() < 1e-9, "{summary:?}");
         assert_eq!(summary.overshoot_pct, 0.0, "a step down has none");
@@ -195,7 +195,7 @@ mod tests {
     fn bursts_count_as_their_mean() {
         // 200 ms of each second at 700 W are 140 W.
         let all = half_cycles((0..600).map(|n| if n % 100 < 20 { 700.0 } else { 0.0 }));
-        let summary = of(&all, &[mark(0.0, Kind::Power(140))], 6.0);
+        let summary = summarise(&all, &[mark(0.0, Kind::Power(140))], 6.0);
         let step = &summary.steps[0];
         assert!(step.error_pct.unwrap() < 1.0, "{step:?}");
         assert!(
@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn off_is_settled_below_five_watt() {
         let all = half_cycles([1000.0, 4.0, 0.0, 0.0, 0.0, 0.0]);
-        let summary = of(&all, &[mark(0.0, Kind::Power(0))], 0.06);
+        let summary = summarise(&all, &[mark(0.0, Kind::Power(0))], 0.06);
         assert_eq!(summary.settled_after_s, [Some(0.01)]);
         assert_eq!(summary.steps[0].error_pct, None);
     }

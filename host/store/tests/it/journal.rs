@@ -121,7 +121,7 @@ fn how_well_cells_are_known_goes_with_their_lookup() {
     sigma[0][3][5] = 0.01234;
     sigma[0][0][0] = f64::NAN;
     sigma[1][7][16] = 99.0;
-    let certainty = Certainty::of(&cells, &sigma);
+    let certainty = Certainty::quantise(&cells, &sigma);
     store
         .pend_lookup(device, &lookup(1), "", Some(&certainty))
         .unwrap();

@@ -22,12 +22,13 @@ fn second(device: &str, at_s: i64, power_w: i64, heats: bool) -> TelemetrySecond
     };
     for k in 0..100i64 {
         // Through one second the power rises by 99 mW.
-        span.power_mw.merge(&Spread::of(power_w * 1_000 + k));
-        span.i_crest_ma.merge(&Spread::of(30_000));
+        span.power_mw
+            .merge(&Spread::from_value(power_w * 1_000 + k));
+        span.i_crest_ma.merge(&Spread::from_value(30_000));
         if heats {
-            span.r_uohm.merge(&Spread::of(2_500_000 - k));
-            span.l_ph.merge(&Spread::of(28_000_000 + k));
-            span.f_sw_hz.merge(&Spread::of(45_000));
+            span.r_uohm.merge(&Spread::from_value(2_500_000 - k));
+            span.l_ph.merge(&Spread::from_value(28_000_000 + k));
+            span.f_sw_hz.merge(&Spread::from_value(45_000));
         }
     }
     TelemetrySecond {
@@ -163,7 +164,7 @@ fn a_second_that_is_told_twice_is_one_and_the_fuller_one_stays() {
     };
     let full = second("a", NOON_S, 1_000, true);
     let mut part = second("a", NOON_S, 500, true);
-    part.span.power_mw = Spread::of(500_000);
+    part.span.power_mw = Spread::from_value(500_000);
     for told in [&part, &full, &part, &full] {
         store.keep_telemetry(std::slice::from_ref(told)).unwrap();
     }

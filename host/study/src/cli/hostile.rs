@@ -72,7 +72,7 @@ impl HostileArgs {
         ensure_usage!(!plan.cases().is_empty(), "no capture has that in its name");
         let runs = super::with_bar("captures", |progress| study(&plan, progress))??;
         let section = table::markdown(&runs, plan.seeds);
-        let sum = HostileSums::of(&runs);
+        let sum = HostileSums::summarise(&runs);
         let results = self.json.then(|| Answer {
             sum,
             met: sum.is_met(),

@@ -117,7 +117,7 @@ impl MapArgs {
                 "--load behavioural is a formula that knows no {}: choose pots with --pot, or use --load reduced or field",
                 placed.name
             );
-            pot.field_settings(0.0).map_err(Usage::of)?;
+            pot.field_settings(0.0).map_err(Usage::from_error)?;
         }
         let perturbed = |p| self.perturb.contains(&p);
         ensure_usage!(

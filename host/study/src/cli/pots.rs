@@ -117,7 +117,7 @@ impl PotsArgs {
             "--perturb rings goes with --load reduced: the rings of the time domain are compiled in"
         );
         for placed in self.pot.iter().chain(&self.others) {
-            placed.pot.field_settings(0.0).map_err(Usage::of)?;
+            placed.pot.field_settings(0.0).map_err(Usage::from_error)?;
         }
         let mut perturbations = vec![None];
         perturbations.extend(self.perturb.iter().copied().map(Some));

@@ -111,7 +111,7 @@ impl TemperatureArgs {
             return output::text(&section);
         }
         let of = |(name, runs): &'_ (String, Vec<TemperatureRun>)| {
-            (name.clone(), TemperatureSums::of(runs))
+            (name.clone(), TemperatureSums::summarise(runs))
         };
         let sums: Vec<(String, TemperatureSums)> = sets.iter().map(of).collect();
         output::json(&Answer {

@@ -195,7 +195,7 @@ fn run_all(plan: &EstimatorsPlan, point: &Point, snr_db: Option<f64>, seed: u64)
     let one = |method: Method| {
         let estimate = run(method, &segment, &settings)?;
         let against = |(reference, truth): &(ComparisonLoad, Vec<PeriodTruth>)| {
-            Accuracy::of(&estimate, &segment, truth, from_s).map(|a| (*reference, a))
+            Accuracy::measure(&estimate, &segment, truth, from_s).map(|a| (*reference, a))
         };
         Ok(point.references.iter().filter_map(against).collect())
     };

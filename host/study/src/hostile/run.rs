@@ -189,7 +189,7 @@ fn examined(
             Err(error) => HostileRun {
                 refused: true,
                 codes: vec!["nothing_to_work_on".to_owned()],
-                judged: ResultJudgement::of(case.group, None, true, false),
+                judged: ResultJudgement::judge(case.group, None, true, false),
                 why: Some(error.to_string()),
                 ..nothing
             },
@@ -224,9 +224,9 @@ fn together(
         }
         let refused = !outcome.judgement.gate.passes() || outcome.result.is_err();
         run.refused |= refused;
-        run.judged = run
-            .judged
-            .max(ResultJudgement::of(run.group, own_errors, refused, warned));
+        run.judged = run.judged.max(ResultJudgement::judge(
+            run.group, own_errors, refused, warned,
+        ));
         if !refused && !warned {
             let own = own_errors.and_then(|e| e.per_sigma);
             run.unremarked_per_sigma = match (run.unremarked_per_sigma, own) {
@@ -247,7 +247,7 @@ fn together(
     }
     if run.stretches == 0 {
         run.refused = true;
-        run.judged = ResultJudgement::of(run.group, None, true, false);
+        run.judged = ResultJudgement::judge(run.group, None, true, false);
         run.why = Some("no stretch holds the middle of a half-cycle".to_owned());
     }
     run

@@ -72,7 +72,7 @@ pub enum ResultJudgement {
 
 impl ResultJudgement {
     /// Derives the judgement from errors and findings.
-    pub fn of(
+    pub fn judge(
         group: CaptureGroup,
         errors: Option<StretchErrors>,
         refused: bool,
@@ -259,7 +259,7 @@ mod tests {
             }),
         );
         let of = |errors, refused, warned| {
-            ResultJudgement::of(CaptureGroup::Clean, errors, refused, warned)
+            ResultJudgement::judge(CaptureGroup::Clean, errors, refused, warned)
         };
         assert_eq!(of(wrong, false, false), ResultJudgement::Silent);
         assert_eq!(of(wrong, false, true), ResultJudgement::Said);
@@ -269,7 +269,7 @@ mod tests {
         assert_eq!(of(right, false, true), ResultJudgement::Warned);
         assert_eq!(of(right, false, false), ResultJudgement::Right);
         assert_eq!(
-            ResultJudgement::of(CaptureGroup::Faulty, right, true, false),
+            ResultJudgement::judge(CaptureGroup::Faulty, right, true, false),
             ResultJudgement::Careful
         );
     }

@@ -38,7 +38,7 @@ pub struct HostileSums {
 
 impl HostileSums {
     /// Sums some runs.
-    pub fn of<'a>(runs: impl IntoIterator<Item = &'a HostileRun>) -> Self {
+    pub fn summarise<'a>(runs: impl IntoIterator<Item = &'a HostileRun>) -> Self {
         let mut sum = Self::default();
         for run in runs {
             let clean = run.group == CaptureGroup::Clean;
@@ -128,10 +128,10 @@ fn sums(runs: &[HostileRun], methods: &[Method]) -> String {
     for &method in methods {
         line(
             method.name(),
-            &HostileSums::of(runs.iter().filter(|r| r.method == method)),
+            &HostileSums::summarise(runs.iter().filter(|r| r.method == method)),
         );
     }
-    line("all", &HostileSums::of(runs));
+    line("all", &HostileSums::summarise(runs));
     out
 }
 
@@ -241,12 +241,12 @@ mod tests {
             .map(|s| run(CaptureGroup::Clean, s, 0.1, ResultJudgement::Right))
             .collect();
         runs[0].judged = ResultJudgement::FalselyRefused;
-        assert!(HostileSums::of(&runs).is_met(), "2 %");
+        assert!(HostileSums::summarise(&runs).is_met(), "2 %");
         runs[1].judged = ResultJudgement::FalselyRefused;
-        assert!(!HostileSums::of(&runs).is_met(), "4 %");
+        assert!(!HostileSums::summarise(&runs).is_met(), "4 %");
         let silent = [run(CaptureGroup::Faulty, 1, 3.0, ResultJudgement::Silent)];
-        assert_eq!(HostileSums::of(&silent).silent, 1);
-        assert!(!HostileSums::of(&silent).is_met());
+        assert_eq!(HostileSums::summarise(&silent).silent, 1);
+        assert!(!HostileSums::summarise(&silent).is_met());
     }
 
     #[test]

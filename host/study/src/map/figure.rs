@@ -65,7 +65,7 @@ fn drawing(root: &Area<'_>, columns: u32, rows: &[Row<'_>]) -> DrawResult {
     let all = rows.iter().flat_map(|r| &r.1).flat_map(|(_, v)| &v.cells);
     let named: Vec<plot::LegendEntry> = (0..FREQUENCIES)
         .filter(|f| all.clone().any(|c| c.frequency == *f))
-        .map(|f| plot::LegendEntry::of(&curve(f, &[])))
+        .map(|f| plot::LegendEntry::from_curve(&curve(f, &[])))
         .collect();
     let below = header(root, "Cells against the truth: dots are observed", &named)?;
     let areas = below.split_evenly((2 * rows.len().max(1), columns.max(1) as usize));
@@ -141,7 +141,7 @@ fn over_deviation(area: &Area<'_>, cells: &[JudgedCell]) -> DrawResult {
         x: Axis::decades("stated deviation σ / %", range.clone()),
         y: Axis::decades("|error| / %", range),
     };
-    let entries: Vec<_> = curves.iter().map(plot::LegendEntry::of).collect();
+    let entries: Vec<_> = curves.iter().map(plot::LegendEntry::from_curve).collect();
     let below = header(area, "", &entries)?;
     plot::draw(&below, &panel, &curves)?;
     Ok(())

@@ -103,11 +103,11 @@ impl LookupJudgement {
         }
     }
 
-    fn of(built: &BuiltLookup, truth: &MapTruth) -> Self {
+    fn judge(built: &BuiltLookup, truth: &MapTruth) -> Self {
         let cells = judge_cells(built, truth);
         Self {
             refused: None,
-            error: Some(LookupAccuracy::of(&cells)),
+            error: Some(LookupAccuracy::from_cells(&cells)),
             cells,
         }
     }

@@ -177,7 +177,7 @@ fn mapped(curves: Vec<CurrentCurve>, truth: &MapTruth) -> LookupJudgement {
         return LookupJudgement::refused("no window shows a load".into());
     };
     match BuiltLookup::from_cells(cells, 1) {
-        Ok(built) => LookupJudgement::of(&built, truth),
+        Ok(built) => LookupJudgement::judge(&built, truth),
         Err(why) => LookupJudgement::refused(why.to_string()),
     }
 }
@@ -221,7 +221,7 @@ fn closed_loop(
     let verdict = match &report.built {
         Some(built) => LookupJudgement {
             refused: why,
-            ..LookupJudgement::of(built, truth)
+            ..LookupJudgement::judge(built, truth)
         },
         None => LookupJudgement::refused(why.unwrap_or_else(|| "nothing was taught".into())),
     };

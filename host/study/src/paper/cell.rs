@@ -49,7 +49,8 @@ pub(super) fn run(
         }
     };
     let from_s = noisy.t_s(last.0);
-    let against = |truth: &[PeriodTruth]| Accuracy::of(&result.estimate, &noisy, truth, from_s);
+    let against =
+        |truth: &[PeriodTruth]| Accuracy::measure(&result.estimate, &noisy, truth, from_s);
     let accuracy = against(&trial.truth).ok_or_else(nothing)?;
     let describing = point.describing.as_ref().and_then(|truth| against(truth));
     let truth = fundamental(&trial.truth);
@@ -114,7 +115,7 @@ fn other(
     let waveforms = hat(&estimate.v_hat_v).zip(hat(&estimate.i_hat_a));
     let samples: Vec<usize> = (last.0..last.1).collect();
     Ok(CellEstimate {
-        nmse: waveforms.and_then(|(v, i)| Nmse::of(&v, &i, &samples, point)),
+        nmse: waveforms.and_then(|(v, i)| Nmse::compute(&v, &i, &samples, point)),
         estimate,
         identified: None,
     })
@@ -152,7 +153,7 @@ fn network(
     let samples: Vec<usize> = reconstruction.sample.iter().map(|n| from + n).collect();
     let (v, i) = (&reconstruction.v_volt, &reconstruction.i_ampere);
     Ok(CellEstimate {
-        nmse: Nmse::of(v, i, &samples, point),
+        nmse: Nmse::compute(v, i, &samples, point),
         estimate,
         identified: Some(identification),
     })

@@ -58,7 +58,7 @@ impl Row {
         errors.fold(f64::INFINITY, f64::min)
     }
 
-    fn of(&self, contender: &Contender) -> Option<&Entry> {
+    fn entry(&self, contender: &Contender) -> Option<&Entry> {
         self.entries.iter().find(|e| e.contender == *contender)
     }
 }
@@ -76,7 +76,7 @@ struct Standing {
 }
 
 impl Standing {
-    fn of(rows: &[Row]) -> Self {
+    fn tally(rows: &[Row]) -> Self {
         let mut standing = Self {
             pairs: 2 * rows.len(),
             best: BTreeMap::new(),
@@ -135,14 +135,14 @@ pub(super) fn markdown(cells: &[PaperCell]) -> String {
     for row in &rows {
         let _ = write!(out, "| {}", row.name);
         for contender in &contenders {
-            let _ = match row.of(contender) {
+            let _ = match row.entry(contender) {
                 Some(entry) => write!(out, " | {}/{}", value(row, entry, 0), value(row, entry, 1)),
                 None => write!(out, " | –"),
             };
         }
         out.push_str(" |\n");
     }
-    out.push_str(&conclusions(&Standing::of(&rows)));
+    out.push_str(&conclusions(&Standing::tally(&rows)));
     out
 }
 

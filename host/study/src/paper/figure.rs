@@ -187,7 +187,7 @@ fn beside_legend(area: &Area<'_>, panel: &PlotPanel, curves: &[PlotCurve]) -> Dr
     let outside = plot::draw(&left, panel, curves)?;
     let entry = |(curve, outside): (&PlotCurve, &Vec<_>)| LegendEntry {
         note: beyond(outside),
-        ..LegendEntry::of(curve)
+        ..LegendEntry::from_curve(curve)
     };
     let entries: Vec<LegendEntry> = curves.iter().zip(&outside).map(entry).collect();
     column(&right, &entries)

@@ -16,7 +16,12 @@ pub(super) struct Nmse {
 impl Nmse {
     /// NMSE of reconstructed samples in volt and ampere, which belong to `samples` of the point's capture, evenly spaced; `None` if
     /// these are not, or fewer than two.
-    pub fn of(v_volt: &[f64], i_ampere: &[f64], samples: &[usize], point: &Point) -> Option<Self> {
+    pub fn compute(
+        v_volt: &[f64],
+        i_ampere: &[f64],
+        samples: &[usize],
+        point: &Point,
+    ) -> Option<Self> {
         let clean = &point.trial.clean;
         let stride = samples.get(1)?.checked_sub(*samples.first()?)?;
         if samples.windows(2).any(|w| w[0] + stride != w[1]) {

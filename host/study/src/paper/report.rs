@@ -18,7 +18,7 @@ struct Spread {
 }
 
 impl Spread {
-    fn of(values: &[f64]) -> Option<Self> {
+    fn from_values(values: &[f64]) -> Option<Self> {
         let seeds = values.len();
         (seeds > 0).then(|| Self {
             mean: values.iter().sum::<f64>() / seeds as f64,
@@ -130,7 +130,7 @@ fn table(out: &mut String, cells: &[&PaperCell], snr_db: Option<f64>) {
 fn row(out: &mut String, f_sw_hz: f64, contender: &Contender, cells: &[&PaperCell]) {
     let column = |value: &dyn Fn(&PaperCell) -> Option<f64>| {
         let values: Vec<f64> = cells.iter().filter_map(|c| value(c)).collect();
-        Spread::of(&values).map_or("–".into(), |s| s.text())
+        Spread::from_values(&values).map_or("–".into(), |s| s.text())
     };
     let last = cells.last().map_or(String::new(), |c| match c.steps {
         0 => "–".into(),

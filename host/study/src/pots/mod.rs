@@ -135,7 +135,7 @@ pub enum PotError {
 }
 
 impl PotError {
-    fn of(self, pot: &str) -> PotsStudyError {
+    fn into_study_error(self, pot: &str) -> PotsStudyError {
         let pot = pot.to_owned();
         match self {
             Self::Simulation(source) => PotsStudyError::Simulation { pot, source },
@@ -168,7 +168,7 @@ pub fn study(
     })?;
     let mut others = Vec::new();
     for (other, entry) in plan.others.iter().zip(entries) {
-        let entry = entry.map_err(|why| why.of(&other.name))?;
+        let entry = entry.map_err(|why| why.into_study_error(&other.name))?;
         others.extend(entry.map(|e| (other, e)));
     }
     let results = in_parallel(&jobs, |(pot, perturbation)| {
@@ -178,7 +178,7 @@ pub fn study(
     })?;
     let mut runs = Vec::new();
     for ((pot, _), result) in jobs.iter().zip(results) {
-        runs.extend(result.map_err(|why| why.of(&pot.name))?);
+        runs.extend(result.map_err(|why| why.into_study_error(&pot.name))?);
     }
     Ok(runs)
 }
@@ -279,7 +279,7 @@ impl SecondHob {
             [pct[0].max(c.r_pct.abs()), pct[1].max(c.l_pct.abs())]
         };
         TaughtLookup {
-            error: Some(LookupAccuracy::of(&cells)),
+            error: Some(LookupAccuracy::from_cells(&cells)),
             known: known.clone().count() as f64 / cells.len().max(1) as f64,
             worst_known_pct: known.fold([0.0; 2], worst),
             ..nothing

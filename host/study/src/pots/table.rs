@@ -60,7 +60,7 @@ pub struct PotsSums {
 }
 
 impl PotsSums {
-    fn of<'a>(after: impl Iterator<Item = &'a TaughtLookup>) -> Self {
+    fn summarise<'a>(after: impl Iterator<Item = &'a TaughtLookup>) -> Self {
         let all: Vec<&TaughtLookup> = after.collect();
         let errors: Vec<LookupAccuracy> = all.iter().filter_map(|a| a.error).collect();
         let mean = |of: &dyn Fn(&LookupAccuracy) -> Option<f64>| {
@@ -85,7 +85,7 @@ impl PotsSums {
 }
 
 impl PotsLine {
-    fn of(pots: String, library: LibraryContents, runs: &[&PotsRun]) -> Self {
+    fn summarise(pots: String, library: LibraryContents, runs: &[&PotsRun]) -> Self {
         let taught = |run: &&PotsRun| {
             let at = run.after.iter().position(|a| a.known >= MIN_KNOWN_SHARE);
             at.map_or(run.after.len() + 1, |k| k + 1)
@@ -96,8 +96,8 @@ impl PotsLine {
             pots,
             library,
             runs: runs.len(),
-            first: PotsSums::of(runs.iter().filter_map(|r| r.after.first())),
-            last: PotsSums::of(runs.iter().filter_map(|r| r.after.last())),
+            first: PotsSums::summarise(runs.iter().filter_map(|r| r.after.first())),
+            last: PotsSums::summarise(runs.iter().filter_map(|r| r.after.last())),
             windows_to_taught: windows.iter().sum::<usize>() as f64 / windows.len().max(1) as f64,
             never_taught: runs.iter().filter(never).count(),
         }
@@ -113,7 +113,7 @@ pub fn summary(plan: &PotsPlan, runs: &[PotsRun]) -> Vec<PotsLine> {
                 .filter(|r| r.perturbation == *perturbation && r.library == library)
                 .collect();
             if !own.is_empty() {
-                lines.push(PotsLine::of(departure(*perturbation), library, &own));
+                lines.push(PotsLine::summarise(departure(*perturbation), library, &own));
             }
         }
     }
@@ -136,7 +136,7 @@ pub fn by_pot(plan: &PotsPlan, runs: &[PotsRun]) -> Vec<PotsLine> {
                         Some(p) => format!("{}, {p}", pot.name),
                         None => pot.name.clone(),
                     };
-                    lines.push(PotsLine::of(name, library, &own));
+                    lines.push(PotsLine::summarise(name, library, &own));
                 }
             }
         }
@@ -291,7 +291,7 @@ mod tests {
                 vec![after(2.0, 0.1), after(1.0, 0.74)],
             ),
         ];
-        let line = PotsLine::of(
+        let line = PotsLine::summarise(
             "all".into(),
             LibraryContents::Nothing,
             &runs.iter().collect::<Vec<_>>(),

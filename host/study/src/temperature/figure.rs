@@ -112,7 +112,7 @@ fn draw(root: &Area<'_>, panels: &[(&str, Vec<Sample>, TemperatureRun)]) -> Draw
         let entries: Vec<LegendEntry> = all
             .iter()
             .filter(|c| !c.name.is_empty())
-            .map(plot::LegendEntry::of)
+            .map(plot::LegendEntry::from_curve)
             .collect();
         let panel = PlotPanel {
             x: Axis::linear(if k + 1 == panels.len() { "t / s" } else { "" }, 0.0..end_s),

@@ -80,7 +80,7 @@ fn is_false_boil(run: &TemperatureRun) -> bool {
 
 impl TemperatureSums {
     /// Sums the runs.
-    pub fn of(runs: &[TemperatureRun]) -> Self {
+    pub fn summarise(runs: &[TemperatureRun]) -> Self {
         let over = |boils: bool| {
             let of = runs
                 .iter()
@@ -140,7 +140,7 @@ pub fn markdown(sums: &[(String, Vec<TemperatureRun>)]) -> String {
     let mut out = String::new();
     let all: Vec<(&String, TemperatureSums)> = sums
         .iter()
-        .map(|(name, runs)| (name, TemperatureSums::of(runs)))
+        .map(|(name, runs)| (name, TemperatureSums::summarise(runs)))
         .collect();
     let row = |what: &str, of: &dyn Fn(&TemperatureSums) -> String, goal: &str| {
         let cells: Vec<String> = all.iter().map(|(_, sum)| of(sum)).collect();
@@ -280,7 +280,7 @@ mod tests {
             run(None, Some(50.0)),
             run(None, None),
         ];
-        let sum = TemperatureSums::of(&runs);
+        let sum = TemperatureSums::summarise(&runs);
         assert_eq!((sum.boils, sum.boils_found, sum.false_boils), (4, 2, 2));
         assert_eq!((sum.boils_within_goal, sum.boil_worst_s), (1, Some(40.0)));
         assert_eq!((sum.boiling_rms_k, sum.z_rms), (Some(2.0), Some(1.0)));

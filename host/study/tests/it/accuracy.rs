@@ -12,7 +12,7 @@ use ihd_study::estimators::published;
 /// Errors over the last half-cycle of a mains cycle.
 fn accuracy(trial: &Trial, segment: &Segment, method: Method) -> Accuracy {
     let estimate = run(method, segment, &IdentifyOptions::default()).expect("it identifies");
-    Accuracy::of(&estimate, segment, &trial.truth, 10e-3).expect("there is truth")
+    Accuracy::measure(&estimate, segment, &trial.truth, 10e-3).expect("there is truth")
 }
 
 #[test]

@@ -40,7 +40,7 @@ fn capture(settings: &CaptureSpec) -> Capture {
 }
 
 fn calibrated(capture: &Capture, reference: ReferenceLoad) -> Result<Calibration, CalibrateError> {
-    let survey = Survey::of(capture, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(capture, &Hints::default()).unwrap();
     estimate(capture, &survey, reference)
 }
 
@@ -160,7 +160,7 @@ fn applied_it_takes_the_error_out_of_another_capture() {
                 ..sensing
             };
             let c = capture(&settings(pot, sensing, 5));
-            let z = Survey::of(&c, &Hints::default()).unwrap().spans[0]
+            let z = Survey::from_capture(&c, &Hints::default()).unwrap().spans[0]
                 .load
                 .unwrap();
             (c, z)
@@ -180,7 +180,7 @@ fn applied_it_takes_the_error_out_of_another_capture() {
         };
         let found = calibrated(&capture(&settings(SimulatedPot::NONE, empty, 6)), known).unwrap();
         found.apply(&mut c);
-        let survey = Survey::of(&c, &Hints::default()).unwrap();
+        let survey = Survey::from_capture(&c, &Hints::default()).unwrap();
         let right = survey.spans[0].load.unwrap();
         assert!(
             (right.r_ohm / truth.r_ohm - 1.0).abs() < 2e-3,

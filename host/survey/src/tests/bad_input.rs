@@ -17,7 +17,7 @@ fn what_was_specified_wrongly_is_reported() {
         f_sw_hz: Some(60e3),
         ..Hints::default()
     };
-    let refused = Survey::of(&c, &hints).unwrap_err();
+    let refused = Survey::from_capture(&c, &hints).unwrap_err();
     assert!(
         matches!(refused, SurveyError::NotAtHint { .. }),
         "{refused:?}"
@@ -34,7 +34,7 @@ fn captures_with_nothing_in_them_are_refused_with_the_reason() {
     use rand::{RngExt, SeedableRng};
     let s = settings(45e3, 1e-3);
     let good = capture(&s);
-    let refused = |c: &Capture| Survey::of(c, &Hints::default()).unwrap_err();
+    let refused = |c: &Capture| Survey::from_capture(c, &Hints::default()).unwrap_err();
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
     for n in [1_000, 30_000] {
         let noise: Vec<f32> = (0..n).map(|_| rng.random::<f32>() - 0.5).collect();
@@ -94,7 +94,7 @@ fn spans_of_a_carrier_in_noise_do_not_overlap() {
         c.v_v = (0..18_000).map(|k| sample(k, 0.0)).collect();
         c.i_a = (0..18_000).map(|k| sample(k, 1.0)).collect();
         c.time = TimeBase::Even { t0_s: 0.0, dt_s };
-        let Ok(survey) = Survey::of(&c, &Hints::default()) else {
+        let Ok(survey) = Survey::from_capture(&c, &Hints::default()) else {
             continue;
         };
         for pair in survey.spans.windows(2) {
@@ -125,7 +125,7 @@ fn stamps_at_the_ends_of_what_a_number_holds_are_refused() {
     // Each of the steps between them is infinite.
     let ends = [-1.7e308, 1.7e308];
     c.time = TimeBase::Stamps((0..c.len()).map(|k| ends[k % 2]).collect());
-    assert!(Survey::of(&c, &Hints::default()).is_err());
+    assert!(Survey::from_capture(&c, &Hints::default()).is_err());
 }
 
 /// Found by fuzzing: a panic where the first stretch has two samples.
@@ -144,7 +144,7 @@ fn a_start_beyond_the_digits_of_time_is_refused() {
     let mut c = capture(&settings(45e3, 5e-3));
     for t0_s in [-1.7e308, 1e300, 1e12] {
         c.time = TimeBase::Even { t0_s, dt_s: 1e-6 };
-        let refused = Survey::of(&c, &Hints::default());
+        let refused = Survey::from_capture(&c, &Hints::default());
         assert!(matches!(refused, Err(SurveyError::TimeStep { .. })));
     }
 }
@@ -168,7 +168,7 @@ fn half_cycles_last() {
         mains_hz: Some(1e19),
         ..Hints::default()
     };
-    let survey = Survey::of(&capture(&settings(45e3, 5e-3)), &hints).unwrap();
+    let survey = Survey::from_capture(&capture(&settings(45e3, 5e-3)), &hints).unwrap();
     assert!(
         survey
             .half_cycles_s
@@ -220,7 +220,7 @@ fn whatever_comes_in_nothing_panics_and_numbers_stay_finite() {
             zero_crossing_s: [None, Some(f64::NAN)][seed as usize % 2],
             ..Hints::default()
         };
-        match Survey::of(&c, &hints) {
+        match Survey::from_capture(&c, &hints) {
             Ok(survey) => {
                 surveyed += 1;
                 for span in &survey.spans {

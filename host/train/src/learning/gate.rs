@@ -31,5 +31,5 @@ pub fn judge(
             finding.severity = Severity::Error;
         }
     }
-    Judgement::of(findings)
+    Judgement::from_findings(findings)
 }

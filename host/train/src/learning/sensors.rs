@@ -103,14 +103,14 @@ impl SensorEvidence {
     /// Estimates the sensor errors from the window with this number since a boot, as it was sampled; no evidence where it is not checked.
     pub fn of_window(seq: u32, segment: &Segment) -> Self {
         if seq < ALL_CHECKED || seq.is_multiple_of(ONE_CHECKED_OF) {
-            Self::of(segment)
+            Self::estimate(segment)
         } else {
             Self::default()
         }
     }
 
     /// Estimates the sensor errors from a window as it was sampled.
-    pub fn of(segment: &Segment) -> Self {
+    pub fn estimate(segment: &Segment) -> Self {
         let mut evidence = Self::default();
         if noisiest(segment) > MAX_NOISE {
             evidence.noisy = true;
@@ -163,7 +163,7 @@ impl Sensors {
     /// Adds a window; returns it corrected, with the remarks.
     #[cfg(test)]
     fn correct_window(&mut self, segment: &Segment) -> (Segment, Vec<Remark>) {
-        let evidence = SensorEvidence::of(segment);
+        let evidence = SensorEvidence::estimate(segment);
         let mut said = evidence.remarks.clone();
         said.extend(self.add(&evidence));
         (applied(segment, self.correction().as_ref()), said)

@@ -346,7 +346,8 @@ type Both = [(f64, f64); 2];
 
 fn errors(truth: &Truth, times: impl Iterator<Item = (f64, f64, f64)> + Clone) -> Both {
     [(0.0, 10e-3), (1e-3, 9e-3)].map(|(from_s, to_s)| {
-        let mre = Mre::of(truth, times.clone(), from_s, to_s).expect("times within the half-cycle");
+        let mre =
+            Mre::compute(truth, times.clone(), from_s, to_s).expect("times within the half-cycle");
         (mre.r_pct, mre.l_pct)
     })
 }

@@ -77,7 +77,7 @@ pub fn judge_cells(built: &BuiltLookup, truth: &MapTruth) -> Vec<JudgedCell> {
 }
 
 impl CellErrors {
-    fn of<'a>(cells: impl Iterator<Item = &'a JudgedCell> + Clone) -> Self {
+    fn from_cells<'a>(cells: impl Iterator<Item = &'a JudgedCell> + Clone) -> Self {
         let count = cells.clone().count();
         let mean = |pct: fn(&JudgedCell) -> f64| {
             let sum: f64 = cells.clone().map(|c| pct(c).abs()).sum();
@@ -100,13 +100,13 @@ impl CellErrors {
 
 impl LookupAccuracy {
     /// Computes the accuracy over judged cells.
-    pub fn of(cells: &[JudgedCell]) -> Self {
+    pub fn from_cells(cells: &[JudgedCell]) -> Self {
         let z = |c: &JudgedCell| [c.r_pct / c.r_sigma_pct, c.l_pct / c.l_sigma_pct];
         let z: Vec<f64> = cells.iter().flat_map(z).collect();
         let square: f64 = z.iter().map(|z| z * z).sum();
         Self {
-            observed: CellErrors::of(cells.iter().filter(|c| c.observed)),
-            unseen: CellErrors::of(cells.iter().filter(|c| !c.observed)),
+            observed: CellErrors::from_cells(cells.iter().filter(|c| c.observed)),
+            unseen: CellErrors::from_cells(cells.iter().filter(|c| !c.observed)),
             z_rms: (!z.is_empty()).then(|| (square / z.len() as f64).sqrt()),
         }
     }
@@ -163,7 +163,7 @@ mod tests {
             cells[0][16].value.r_sigma = 1.0;
         });
         let truth = truth(&[(2, 3), (2, 4), (5, 1)]);
-        let error = LookupAccuracy::of(&judge_cells(&built, &truth));
+        let error = LookupAccuracy::from_cells(&judge_cells(&built, &truth));
         assert_eq!((error.observed.cells, error.unseen.cells), (1, 2));
         let near = |is: Option<f64>, pct: f64| (is.unwrap() - pct).abs() < 0.02;
         assert!(near(error.observed.r_mean_pct, 3.0) && near(error.observed.r_worst_pct, 3.0));
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn without_reached_cells_there_are_no_numbers() {
-        let error = LookupAccuracy::of(&judge_cells(&built(|_| ()), &MapTruth::UNREACHED));
+        let error = LookupAccuracy::from_cells(&judge_cells(&built(|_| ()), &MapTruth::UNREACHED));
         assert_eq!(error.unseen, CellErrors::default());
         let json = serde_json::to_value(error).unwrap();
         assert!(json["unseen"]["r_mean_pct"].is_null() && json["z_rms"].is_null());
@@ -190,7 +190,7 @@ mod tests {
             r_ohm: f64::NAN,
             l_h: 1.0,
         });
-        let error = LookupAccuracy::of(&judge_cells(&built(|_| ()), &truth));
+        let error = LookupAccuracy::from_cells(&judge_cells(&built(|_| ()), &truth));
         assert!(error.unseen.r_worst_pct.unwrap().is_nan());
     }
 }

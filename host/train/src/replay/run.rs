@@ -103,7 +103,7 @@ pub fn run(
     let started = Instant::now();
     let device = connect()?;
     let scales = device.front_end().scales();
-    let stretches = segments.iter().filter_map(|s| Stretch::of(s, scales));
+    let stretches = segments.iter().filter_map(|s| Stretch::resample(s, scales));
     let stretches: Vec<_> = stretches.collect();
     if stretches.is_empty() {
         return Err(ReplayError::Nothing);

@@ -28,7 +28,7 @@ pub struct Stretch {
 impl Stretch {
     /// Resamples a segment to codes of the device's scales; `None` if it is shorter than a block, or its frequency is outside the hob's
     /// ratings.
-    pub fn of(segment: &Segment, scales: Scales) -> Option<Self> {
+    pub fn resample(segment: &Segment, scales: Scales) -> Option<Self> {
         let f_sw_hz = segment.f_sw_hz.round() as u32;
         if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
             return None;
@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn a_boards_own_samples_are_sent_as_they_are() {
-        let stretch = Stretch::of(&segment(1.0 / f_adc_hz(45_000), 20_000), SCALES).unwrap();
+        let stretch = Stretch::resample(&segment(1.0 / f_adc_hz(45_000), 20_000), SCALES).unwrap();
         assert_eq!(stretch.blocks(), 20_000 / 61);
         for (k, pair) in stretch.pairs.iter().enumerate() {
             let code = (k % 100) as i16 - 50;
@@ -131,7 +131,7 @@ mod tests {
             v_full_scale_mv: 640_000,
             i_full_scale_ma: 100_000,
         };
-        let stretch = Stretch::of(&own, wider).unwrap();
+        let stretch = Stretch::resample(&own, wider).unwrap();
         let mut codes = 0;
         for (k, pair) in stretch.pairs.iter().enumerate() {
             let off_v = f64::from(pair.v) - own.v_v[k] / wider.volt_per_code();
@@ -148,7 +148,7 @@ mod tests {
 
     #[test]
     fn crossings_lie_where_the_mains_puts_them() {
-        let stretch = Stretch::of(&segment(0.2e-6, 120_000), SCALES).unwrap();
+        let stretch = Stretch::resample(&segment(0.2e-6, 120_000), SCALES).unwrap();
         // Crossings at 7 and 17 ms; the stretch begins at 1 ms.
         let at_s = |k: usize| 1e-3 + k as f64 * stretch.dt_s;
         assert_eq!(stretch.crossings.len(), 2);
@@ -166,7 +166,7 @@ mod tests {
             f_sw_hz: 20e3,
             ..segment(0.2e-6, 120_000)
         };
-        assert_eq!(Stretch::of(&slow, SCALES), None);
-        assert_eq!(Stretch::of(&segment(0.2e-6, 30), SCALES), None);
+        assert_eq!(Stretch::resample(&slow, SCALES), None);
+        assert_eq!(Stretch::resample(&segment(0.2e-6, 30), SCALES), None);
     }
 }

@@ -74,8 +74,8 @@ pub fn errors(
     estimates: impl Iterator<Item = (f64, f64, f64)> + Clone,
     half_cycle_s: f64,
 ) -> Option<RelativeErrors> {
-    let whole = Mre::of(truth, estimates.clone(), 0.0, half_cycle_s)?;
-    let middle = Mre::of(truth, estimates, 0.1 * half_cycle_s, 0.9 * half_cycle_s)?;
+    let whole = Mre::compute(truth, estimates.clone(), 0.0, half_cycle_s)?;
+    let middle = Mre::compute(truth, estimates, 0.1 * half_cycle_s, 0.9 * half_cycle_s)?;
     Some(RelativeErrors {
         r_whole_pct: whole.r_pct,
         l_whole_pct: whole.l_pct,

@@ -243,7 +243,7 @@ impl Run<'_, '_> {
             return;
         };
         if let TrainingSource::Powers(_) = self.settings.source {
-            let judge = |truth| LookupAccuracy::of(&judge_cells(built, &truth));
+            let judge = |truth| LookupAccuracy::from_cells(&judge_cells(built, &truth));
             self.report.map_error = truth().map(judge);
         }
     }

@@ -182,7 +182,7 @@ pub struct Counts {
 }
 
 impl Counts {
-    pub fn of<'a>(rows: impl Iterator<Item = &'a Row>) -> Self {
+    pub fn from_rows<'a>(rows: impl Iterator<Item = &'a Row>) -> Self {
         let mut counts = Self::default();
         for row in rows {
             counts.captures += 1;

@@ -173,11 +173,11 @@ impl Chip {
             reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
             _ => {}
         }
-        let starts = |word: u32| reg::adc1::cr::ADSTART.of(word) == 1;
+        let starts = |word: u32| reg::adc1::cr::ADSTART.extract(word) == 1;
         if address == reg::adc4::cr::ADDRESS
             && starts(self.file.word(address))
             && !starts(before)
-            && reg::adc1::cfgr::EXTEN.of(self.file.word(reg::adc4::cfgr::ADDRESS)) == 0
+            && reg::adc1::cfgr::EXTEN.extract(self.file.word(reg::adc4::cfgr::ADDRESS)) == 0
         {
             self.start_adc4();
         }
@@ -283,7 +283,7 @@ fn plain_write(
             0
         }
         a if in_block(a, reg::comp::BASE, 8) => {
-            if reg::comp::comp_c1csr::LOCK.of(before) == 1 {
+            if reg::comp::comp_c1csr::LOCK.extract(before) == 1 {
                 if value != before {
                     log.broken("COMP CSR written after LOCK (RM0440 24.3.7)");
                 }
@@ -300,10 +300,12 @@ fn plain_write(
             before
         }
         reg::syscfg::cfgr2::ADDRESS => {
-            if reg::syscfg::cfgr2::PVDL.of(value) == 1 && !file.is(reg::pwr::pwr_cr2::PVDE) {
+            if reg::syscfg::cfgr2::PVDL.extract(value) == 1 && !file.is(reg::pwr::pwr_cr2::PVDE) {
                 log.broken("PVDL locks a supply detector that is off: PVDE (RM0440 10.2.8)");
             }
-            if reg::syscfg::cfgr2::SPL.of(value) == 1 && file.is(reg::flash::flash_optr::SRAM_PE) {
+            if reg::syscfg::cfgr2::SPL.extract(value) == 1
+                && file.is(reg::flash::flash_optr::SRAM_PE)
+            {
                 log.broken("SPL without RAM parity: option bit SRAM_PE is 1, off (RM0440 3.4.1)");
             }
             // SPF is cleared by writing 1; the locks stay.

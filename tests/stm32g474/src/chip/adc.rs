@@ -152,15 +152,15 @@ impl Converter {
     ) -> u32 {
         use adc1::cr::{ADCAL, ADEN, ADSTART, ADVREGEN, DEEPPWD};
         let name = self.name;
-        let rises = |field: Field| field.of(value) == 1 && field.of(before) == 0;
+        let rises = |field: Field| field.extract(value) == 1 && field.extract(before) == 0;
         let now = log.now;
         if rises(ADVREGEN) {
-            if DEEPPWD.of(before) == 1 && DEEPPWD.of(value) == 1 {
+            if DEEPPWD.extract(before) == 1 && DEEPPWD.extract(value) == 1 {
                 log.broken(format!(
                     "{name}: ADVREGEN set in deep-power-down (RM0440 21.4.6)"
                 ));
             }
-            if DEEPPWD.of(before) == 1 && DEEPPWD.of(value) == 0 {
+            if DEEPPWD.extract(before) == 1 && DEEPPWD.extract(value) == 0 {
                 log.broken(format!(
                     "{name}: DEEPPWD cleared and ADVREGEN set by one write; the HAL leaves deep-power-down first \
                      (RM0440 21.4.6; HAL_ADC_Init)"
@@ -168,7 +168,7 @@ impl Converter {
             }
             self.regulator_at = Some(now);
         }
-        if ADVREGEN.of(value) == 0 {
+        if ADVREGEN.extract(value) == 0 {
             (self.regulator_at, self.calibrated_at, self.enabled_at) = (None, None, None);
         }
         if rises(ADCAL) {
@@ -186,7 +186,7 @@ impl Converter {
                     "{name} calibrated before its regulator is up, 20 µs (RM0440 21.4.6)"
                 ));
             }
-            if ADEN.of(before) == 1 {
+            if ADEN.extract(before) == 1 {
                 log.broken(format!("{name} calibrated while enabled (RM0440 21.4.8)"));
             }
             self.calibrating_until = now + self.ticks(CALIBRATION_CYCLES as f64, hclk_hz, file);
@@ -287,9 +287,9 @@ impl Converter {
     pub fn data(&self, channel: u32, code: u32, file: &RegisterFile) -> u32 {
         for k in 0..4 {
             let word = file.word(self.base + 0x60 + 4 * k);
-            let on = adc1::ofr1::OFFSET1_EN.of(word) == 1;
-            if on && adc1::ofr1::OFFSET1_CH.of(word) == channel {
-                let offset = adc1::ofr1::OFFSET1.of(word);
+            let on = adc1::ofr1::OFFSET1_EN.extract(word) == 1;
+            if on && adc1::ofr1::OFFSET1_CH.extract(word) == channel {
+                let offset = adc1::ofr1::OFFSET1.extract(word);
                 return code.wrapping_sub(offset) & 0xFFFF;
             }
         }

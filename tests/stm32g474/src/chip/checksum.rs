@@ -44,7 +44,7 @@ impl Checksum {
                 file.word(address)
             }
             crc::cr::ADDRESS => {
-                if crc::cr::RESET.of(value) == 1 {
+                if crc::cr::RESET.extract(value) == 1 {
                     self.0 = file.get(crc::init::CRC_INIT);
                 }
                 crc::cr::RESET.put(value, 0)

@@ -130,8 +130,8 @@ fn reset_peripherals(address: u32, file: &mut RegisterFile) {
         .collect();
     names.dedup();
     for name in names {
-        let in_reset =
-            clock_of(name).is_some_and(|clock| reset_of(clock) == address && clock.of(word) != 0);
+        let in_reset = clock_of(name)
+            .is_some_and(|clock| reset_of(clock) == address && clock.extract(word) != 0);
         // The registers of FLASH are reset only with the whole chip.
         if in_reset && !matches!(name, "FLASH") {
             file.reset(name);
@@ -143,12 +143,12 @@ fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
     use rcc::rcc_cfgr::{HPRE, SW, SWS};
     let wanted = file.get(SW);
     let old_hz = divided(
-        if SWS.of(before) == 3 {
+        if SWS.extract(before) == 3 {
             pll_hz(file)
         } else {
             HSI_HZ
         },
-        HPRE.of(before),
+        HPRE.extract(before),
     );
     if wanted == 3 && !file.is(rcc::rcc_cr::PLLRDY) {
         log.broken("switch to a PLL that is not ready (RM0440 7.2.8)");
@@ -156,7 +156,7 @@ fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
     }
     file.set(SWS, wanted);
     let new_hz = hclk_hz(file);
-    if old_hz <= 80_000_000 && new_hz > 85_000_000 && SWS.of(before) != 3 {
+    if old_hz <= 80_000_000 && new_hz > 85_000_000 && SWS.extract(before) != 3 {
         log.broken(format!(
             "HCLK from {old_hz} to {new_hz} Hz in one step: HPRE must divide by two across it (RM0440 6.1.5, 7.2.7)"
         ));

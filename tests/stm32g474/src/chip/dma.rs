@@ -54,13 +54,15 @@ impl Dma {
         if left == 0 {
             return None;
         }
-        let bytes = 1 << dma1::ccr1::MSIZE.of(ccr);
-        if dma1::ccr1::PSIZE.of(ccr) != dma1::ccr1::MSIZE.of(ccr) || dma1::ccr1::DIR.of(ccr) != 0 {
+        let bytes = 1 << dma1::ccr1::MSIZE.extract(ccr);
+        if dma1::ccr1::PSIZE.extract(ccr) != dma1::ccr1::MSIZE.extract(ccr)
+            || dma1::ccr1::DIR.extract(ccr) != 0
+        {
             log.broken("DMA: this emulator moves from a peripheral, unit by unit of the same size");
         }
         let length = self.length[channel as usize];
         let done = length - left;
-        let step = if dma1::ccr1::MINC.of(ccr) == 1 {
+        let step = if dma1::ccr1::MINC.extract(ccr) == 1 {
             done * bytes
         } else {
             0
@@ -74,7 +76,7 @@ impl Dma {
         let mut next = left;
         if left == 0 {
             flags |= 0b0011;
-            if dma1::ccr1::CIRC.of(ccr) == 1 {
+            if dma1::ccr1::CIRC.extract(ccr) == 1 {
                 next = length;
             }
         }

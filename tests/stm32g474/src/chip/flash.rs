@@ -348,7 +348,7 @@ impl FlashController {
 
     fn control(&mut self, before: u32, value: u32, log: &mut Log) -> u32 {
         use flash::flash_cr::{BKER, LOCK, MER1, MER2, PER, PNB, START};
-        if LOCK.of(before) == 1 {
+        if LOCK.extract(before) == 1 {
             if value != before {
                 log.broken("FLASH_CR written while locked (RM0440 3.3.6)");
             }
@@ -358,12 +358,12 @@ impl FlashController {
             log.broken("FLASH_CR written while BSY (RM0440 3.7.5)");
             return before;
         }
-        if START.of(value) == 1 && PER.of(value) == 1 {
-            let address = if BKER.of(value) == 1 {
+        if START.extract(value) == 1 && PER.extract(value) == 1 {
+            let address = if BKER.extract(value) == 1 {
                 BANK_2
             } else {
                 0x0800_0000
-            } + PNB.of(value) * PAGE_BYTES;
+            } + PNB.extract(value) * PAGE_BYTES;
             if (PAGES..PAGES + PAGES_BYTES as u32).contains(&address) {
                 self.begin(
                     Operation::Erase {
@@ -384,8 +384,8 @@ impl FlashController {
                 ));
             }
         }
-        let banks = [MER1.of(value), MER2.of(value)];
-        if START.of(value) == 1 && banks != [0, 0] {
+        let banks = [MER1.extract(value), MER2.extract(value)];
+        if START.extract(value) == 1 && banks != [0, 0] {
             self.erase_banks(banks.map(|bank| bank == 1), log);
         }
         START.put(value, 0)

@@ -149,8 +149,10 @@ impl Hrtim {
 
     /// Present state of the switches.
     pub fn bridge(&self, file: &RegisterFile) -> Bridge {
-        let set = hrtim_tima::seta1r::PER.of(self.in_force(0, hrtim_tima::seta1r::ADDRESS)) == 1;
-        let reset = hrtim_tima::rsta1r::CMP1.of(self.in_force(0, hrtim_tima::rsta1r::ADDRESS)) == 1;
+        let set =
+            hrtim_tima::seta1r::PER.extract(self.in_force(0, hrtim_tima::seta1r::ADDRESS)) == 1;
+        let reset =
+            hrtim_tima::rsta1r::CMP1.extract(self.in_force(0, hrtim_tima::rsta1r::ADDRESS)) == 1;
         let pwm = set && reset && self.a.running;
         match self.enabled {
             [true, true] if pwm => Bridge::Switching {
@@ -178,8 +180,8 @@ impl Hrtim {
     pub fn dead_times_s(&self) -> [f64; 2] {
         use hrtim_tima::dtar::{DTFX, DTPRSC, DTRX};
         let dead_time = self.in_force(0, hrtim_tima::dtar::ADDRESS);
-        let step_s = f64::from(1u32 << DTPRSC.of(dead_time)) / 8.0 / 170e6;
-        [DTRX, DTFX].map(|steps| f64::from(steps.of(dead_time)) * step_s)
+        let step_s = f64::from(1u32 << DTPRSC.extract(dead_time)) / 8.0 / 170e6;
+        [DTRX, DTFX].map(|steps| f64::from(steps.extract(dead_time)) * step_s)
     }
 
     fn switch_off(&mut self, now: Ticks) {
@@ -330,7 +332,7 @@ impl Hrtim {
         use hrtim_common::cr2::{TARST, TASWU, TBRST, TBSWU};
         let now = log.now;
         let lower_closed = self.a.count(now) > self.in_force(0, hrtim_tima::cmp1ar::ADDRESS);
-        if TARST.of(value) == 1
+        if TARST.extract(value) == 1
             && self.a.running
             && lower_closed
             && matches!(self.bridge(file), Bridge::Switching { .. })
@@ -341,13 +343,13 @@ impl Hrtim {
             );
         }
         for (timer, update, reset) in [(0, TASWU, TARST), (1, TBSWU, TBRST)] {
-            if update.of(value) == 1 {
+            if update.extract(value) == 1 {
                 // The counter continues from its present count.
                 let count = self.counter(timer).count(now);
                 self.counter(timer).started = now - Ticks::from(count);
                 self.update(timer, file);
             }
-            if reset.of(value) == 1 {
+            if reset.extract(value) == 1 {
                 self.counter(timer).started = now;
             }
         }
@@ -358,7 +360,7 @@ impl Hrtim {
         let ready = self.dll_ready_at.is_some_and(|at| log.now >= at);
         for (timer, enable) in [(0, TACEN), (1, TBCEN)] {
             let counter = self.counter(timer);
-            let on = enable.of(value) == 1;
+            let on = enable.extract(value) == 1;
             if on && !counter.running {
                 if !ready {
                     log.broken("HRTIM counter enabled before the DLL is ready (RM0440 27.3.22)");

@@ -112,7 +112,9 @@ impl Capture {
     ) -> u32 {
         use tim16::{tim16_ccer, tim16_ccmr1, tim16_cr1, tim16_egr, tim16_sr};
         let before = file.word(address);
-        let rises = |field: crate::registers::Field| field.of(value) == 1 && field.of(before) == 0;
+        let rises = |field: crate::registers::Field| {
+            field.extract(value) == 1 && field.extract(before) == 0
+        };
         match address {
             // Flags are cleared by writing 0.
             tim16_sr::ADDRESS => before & value,
@@ -134,7 +136,7 @@ impl Capture {
                 value
             }
             tim16_ccmr1::ADDRESS if file.is(tim16_ccer::CC1E) => {
-                if tim16_ccmr1::CC1S.of(value ^ before) != 0 {
+                if tim16_ccmr1::CC1S.extract(value ^ before) != 0 {
                     log.broken("TIM16 CC1S written while CC1E is 1 (RM0440 29.6.7)");
                 }
                 value

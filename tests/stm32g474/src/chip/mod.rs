@@ -331,7 +331,8 @@ impl Chip {
         }
         let [adc1, adc2, adc3, _] = &mut self.adcs;
         if adc1.takes_trigger(&self.file)
-            && reg::adc12_common::ccr::DUAL.of(self.file.word(reg::adc12_common::ccr::ADDRESS)) == 6
+            && reg::adc12_common::ccr::DUAL.extract(self.file.word(reg::adc12_common::ccr::ADDRESS))
+                == 6
         {
             let voltage = adc1.trigger(hclk_hz, &self.file, &mut self.log);
             let current = adc2.trigger(hclk_hz, &self.file, &mut self.log);
@@ -396,7 +397,7 @@ impl Chip {
         for (comparator, input) in COMPARATOR_INPUTS {
             let csr = self.file.word(reg::comp::BASE + 4 * comparator as u32);
             // INMSEL 5 is DAC1_CH1 on COMP1 and DAC1_CH2 on COMP2 (RM0440, table 196).
-            let compares = EN.of(csr) == 1 && INMSEL.of(csr) == 5 && on[comparator];
+            let compares = EN.extract(csr) == 1 && INMSEL.extract(csr) == 5 && on[comparator];
             self.pins.comparators[comparator] = compares.then(|| Comparator {
                 threshold_code: f64::from(thresholds[comparator]),
                 filter_s: self.hrtim.fault_filter_s(input, &self.file),

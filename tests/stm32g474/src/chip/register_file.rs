@@ -96,7 +96,7 @@ impl RegisterFile {
     /// Value of a field.
     #[inline]
     pub fn get(&self, field: Field) -> u32 {
-        field.of(self.word(field.address))
+        field.extract(self.word(field.address))
     }
 
     /// Returns `true` if a field is not 0.

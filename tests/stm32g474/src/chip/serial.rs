@@ -179,9 +179,9 @@ impl Serial {
                 self.complete = false;
             }
             lpuart1::icr::ADDRESS => {
-                self.overrun &= lpuart1::icr::ORECF.of(value) == 0;
-                self.complete &= lpuart1::icr::TCCF.of(value) == 0;
-                self.idle &= lpuart1::icr::IDLECF.of(value) == 0;
+                self.overrun &= lpuart1::icr::ORECF.extract(value) == 0;
+                self.complete &= lpuart1::icr::TCCF.extract(value) == 0;
+                self.idle &= lpuart1::icr::IDLECF.extract(value) == 0;
             }
             lpuart1::brr::ADDRESS if Self::is_on(file) => {
                 log.broken("LPUART1 BRR written while UE is 1 (RM0440 38.7.5)");

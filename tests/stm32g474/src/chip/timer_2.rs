@@ -69,7 +69,7 @@ impl Timer2 {
                 if value & !(tim2_cr1::CEN.mask()) != 0 {
                     log.broken("TIM2: this emulator counts up, without preload");
                 }
-                let on = tim2_cr1::CEN.of(value) == 1;
+                let on = tim2_cr1::CEN.extract(value) == 1;
                 self.zero_at = on.then(|| self.zero_at.unwrap_or(log.now));
                 value
             }

@@ -39,7 +39,7 @@ impl TracedRun {
 
 impl Trace {
     /// Trace of the handler of an exception, by its number.
-    pub fn of(exception: usize) -> Self {
+    pub fn new(exception: usize) -> Self {
         Self {
             exception,
             interrupted: 0,

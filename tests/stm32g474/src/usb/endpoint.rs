@@ -45,7 +45,7 @@ impl Endpoint {
 
     /// Reads a field without effect on the program.
     pub fn get(&self, field: Field) -> u32 {
-        field.of(self.value)
+        field.extract(self.value)
     }
 
     /// Sets a field for the hardware.
@@ -71,8 +71,8 @@ impl Endpoint {
         self.value = (value & WRITTEN) | toggled | (old & value & COMPLETE) | kept;
         let lost = old & !value & COMPLETE & !self.seen;
         let enabled = self.get(STAT_RX) != DISABLED || self.get(STAT_TX) != DISABLED;
-        let was_enabled = STAT_RX.of(old) != DISABLED || STAT_TX.of(old) != DISABLED;
-        let differs = |field: Field| field.of(old) != field.of(value);
+        let was_enabled = STAT_RX.extract(old) != DISABLED || STAT_TX.extract(old) != DISABLED;
+        let differs = |field: Field| field.extract(old) != field.extract(value);
         if value >> 16 != 0 {
             Some("writes reserved bits")
         } else if lost != 0 {

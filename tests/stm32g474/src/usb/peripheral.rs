@@ -172,7 +172,7 @@ impl Usb {
     }
 
     fn on(&self, field: Field) -> bool {
-        field.of(self.control) != 0
+        field.extract(self.control) != 0
     }
 
     fn status(&self) -> u32 {
@@ -196,10 +196,10 @@ impl Usb {
     fn write_control(&mut self, value: u32) {
         let old = self.control;
         self.control = value & 0xFFBF;
-        if cntr::PDWN.of(old & !value) != 0 {
+        if cntr::PDWN.extract(old & !value) != 0 {
             self.powered_us = self.now_us;
         }
-        let lifted = cntr::FRES.of(old & !value) != 0;
+        let lifted = cntr::FRES.extract(old & !value) != 0;
         if lifted && self.on(cntr::PDWN) {
             self.report("the reset is lifted in power-down");
         }

@@ -244,7 +244,7 @@ impl ImageRun {
     fn finish(self, duration_s: f64) -> Record {
         assert_no_violations(&self.bench);
         let locked = self.last.is_some_and(|last| last.state == State::LockedOut);
-        let mut summary = summary::of(&self.half_cycles, &self.marks, duration_s);
+        let mut summary = summary::summarise(&self.half_cycles, &self.marks, duration_s);
         summary.latched = locked && self.asked_w > 0;
         summary.energy_j = self.energy_j;
         Record {

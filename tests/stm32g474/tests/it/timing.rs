@@ -171,7 +171,7 @@ fn new_periods_begin_with_a_block() {
 
 /// Runs of the sampling interrupt within a time.
 fn runs(bench: &Bench, duration_s: f64) -> Vec<TracedRun> {
-    bench.with(|machine| machine.timing().trace = Some(Trace::of(SAMPLING)));
+    bench.with(|machine| machine.timing().trace = Some(Trace::new(SAMPLING)));
     bench.run_s(duration_s);
     let trace = bench.with(|machine| machine.timing().trace.take());
     trace.expect("begun above").runs

@@ -40,12 +40,12 @@ pub fn number(report: &str, name: &str) -> f64 {
 impl Desk {
     /// Boots the guest with no board plugged in.
     pub fn new(boards: Vec<Board>) -> anyhow::Result<Self> {
-        let desk = Self::of(boards.iter().map(|board| board.cable.clone()))?;
+        let desk = Self::with_cables(boards.iter().map(|board| board.cable.clone()))?;
         Ok(Self { boards, ..desk })
     }
 
     /// Boots the guest with cables that have other devices than boards at their ends.
-    pub fn of(cables: impl IntoIterator<Item = Cable>) -> anyhow::Result<Self> {
+    pub fn with_cables(cables: impl IntoIterator<Item = Cable>) -> anyhow::Result<Self> {
         let server = Server::start(cables)?.address();
         let began = Instant::now();
         let guest = Guest::boot()?;

@@ -21,7 +21,7 @@ fn plugged_in() -> (Desk, Arc<Mutex<Bootloader>>) {
     let rom = Bootloader::new(chip, move || began.elapsed());
     let rom = Arc::new(Mutex::new(rom));
     let cable = RomDevice::new(Arc::clone(&rom)).on_a_cable();
-    let mut desk = Desk::of([cable]).unwrap();
+    let mut desk = Desk::with_cables([cable]).unwrap();
     let serial = desk.plug(0).unwrap();
     assert_eq!(serial, rom.lock().unwrap().serial());
     (desk, rom)

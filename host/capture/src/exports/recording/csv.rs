@@ -23,7 +23,7 @@ pub fn samples_csv(
     mut out: impl Write,
     limits: &ExportLimits<'_>,
 ) -> Result<(), RecordingExportError> {
-    let mut budget = ByteBudget::of(limits);
+    let mut budget = ByteBudget::from_limits(limits);
     let mut windows = 0;
     let mut text = String::from(SAMPLES);
     rows(path, limits, &mut |row| {
@@ -55,7 +55,7 @@ pub fn half_cycles_csv(
     mut out: impl Write,
     limits: &ExportLimits<'_>,
 ) -> Result<(), RecordingExportError> {
-    let mut budget = ByteBudget::of(limits);
+    let mut budget = ByteBudget::from_limits(limits);
     let mut count = 0;
     budget.write(&mut out, HALF_CYCLES.as_bytes())?;
     rows(path, limits, &mut |row| {

@@ -181,7 +181,7 @@ struct ByteBudget {
 }
 
 impl ByteBudget {
-    fn of(limits: &ExportLimits<'_>) -> Self {
+    fn from_limits(limits: &ExportLimits<'_>) -> Self {
         let (left, limit) = (limits.bytes, limits.bytes);
         Self { left, limit }
     }

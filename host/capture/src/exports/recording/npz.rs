@@ -31,7 +31,7 @@ pub fn recording_npz(
     let mut arrays = Arrays {
         spool,
         columns: Vec::new(),
-        budget: ByteBudget::of(limits),
+        budget: ByteBudget::from_limits(limits),
         notes: BTreeMap::new(),
     };
     rows(path, limits, &mut |row| arrays.take(row))?;

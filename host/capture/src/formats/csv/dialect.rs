@@ -56,7 +56,10 @@ impl ColumnLayout {
     ///
     /// # Errors
     /// [`FormatError`] when a column that the user names is not there.
-    pub fn of(prelude: &Prelude, named: Option<&[ChannelRef; 3]>) -> Result<Self, FormatError> {
+    pub fn from_prelude(
+        prelude: &Prelude,
+        named: Option<&[ChannelRef; 3]>,
+    ) -> Result<Self, FormatError> {
         check_waveform_type(prelude)?;
         let headings = headings(prelude);
         let (time, columns) = match named {

@@ -15,7 +15,7 @@ pub struct Heading {
 }
 
 impl Heading {
-    fn of(text: &str) -> Self {
+    fn parse(text: &str) -> Self {
         let (name, unit) = Unit::of_heading(text);
         // Rigol's `CH1V`: the unit follows the number without a gap.
         let digit = |c: char| c.is_ascii_digit();
@@ -76,7 +76,7 @@ pub fn headings(prelude: &Prelude) -> Vec<Heading> {
             };
             last.iter().enumerate().map(named).collect()
         }
-        Some(last) => last.iter().map(|text| Heading::of(text)).collect(),
+        Some(last) => last.iter().map(|text| Heading::parse(text)).collect(),
         None => Vec::new(),
     };
     all.resize(prelude.width.max(all.len()), Heading::default());

@@ -59,7 +59,7 @@ impl CsvSource {
             return Err(FormatError::at_line(1, too_long()));
         }
         let prelude = Prelude::read(&head)?;
-        let layout = ColumnLayout::of(&prelude, columns)?;
+        let layout = ColumnLayout::from_prelude(&prelude, columns)?;
         file.seek(SeekFrom::Start(prelude.end.byte()))
             .map_err(failed)?;
         let source = BufReader::with_capacity(1 << 16, file);

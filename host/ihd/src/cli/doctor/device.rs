@@ -44,7 +44,7 @@ pub(super) fn of_name(name: &str, config: Option<&std::path::Path>) -> Result<De
 /// Returns the device with an address.
 #[cfg(not(feature = "daemon"))]
 pub(super) fn of_name(name: &str) -> Result<DeviceChoice> {
-    Ok(DeviceChoice::Spec(name.parse().map_err(Usage::of)?))
+    Ok(DeviceChoice::Spec(name.parse().map_err(Usage::from_error)?))
 }
 
 impl DeviceChoice {

@@ -261,7 +261,7 @@ impl DoctorArgs {
 fn print(report: &Report, json: bool) -> Result<()> {
     match json {
         true => output::json(report),
-        false => output::text(&text::of(report)),
+        false => output::text(&text::render(report)),
     }
 }
 

@@ -11,7 +11,7 @@ const INDENT: usize = 32;
 const WIDTH: usize = 118;
 
 /// Formats a report.
-pub(super) fn of(report: &Report) -> String {
+pub(super) fn render(report: &Report) -> String {
     let mut text = String::new();
     for group in &report.groups {
         of_group(&mut text, group, report.device.as_deref());
@@ -105,7 +105,7 @@ mod tests {
             name: "board",
             checks,
         });
-        let text = of(&report);
+        let text = render(&report);
         assert_eq!(text.matches("no device").count(), 1, "{text}");
         assert!(text.contains("no device: idle, clocks, noise"), "{text}");
     }
@@ -121,7 +121,7 @@ mod tests {
                 Check::pass("noise", "fine").with_remedy("not shown"),
             ],
         });
-        let text = of(&report);
+        let text = render(&report);
         assert!(
             text.lines().all(|line| line.chars().count() <= WIDTH),
             "{text}"

@@ -61,7 +61,7 @@ fn ask(spec: &DeviceSpec) -> Result<RunningBoard, LinkError> {
     Ok(RunningBoard {
         link: spec.to_string(),
         build: hello.build.to_string(),
-        build_id: BuildId::of(&facts.build_id),
+        build_id: BuildId::from_bytes(&facts.build_id),
         protocol: (hello.protocol_major, hello.protocol_minor),
         chip: facts.chip.try_into().ok(),
         heats: heats(&status),

@@ -161,7 +161,7 @@ impl IdentifyArgs {
                 "this ihd is built without the method pinn, which --preset and --network are for: build it with \
                  --features pinn"
             );
-            settings.pinn.check().map_err(Usage::of)?;
+            settings.pinn.check().map_err(Usage::from_error)?;
         } else if methods.contains(&Method::Pinn) {
             settings.pinn.check()?;
         }

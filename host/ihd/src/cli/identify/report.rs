@@ -88,10 +88,10 @@ impl<'a> From<&'a PooledLaw> for Pooled<'a> {
 
 impl<'a> ReportedCapture<'a> {
     /// Compares with the capture's truth from `from_s` seconds on.
-    pub fn of(capture: &'a Capture, examined: &'a Examination, from_s: f64) -> Self {
+    pub fn new(capture: &'a Capture, examined: &'a Examination, from_s: f64) -> Self {
         let accuracy = |o: &MethodResult| {
             let segment = examined.segments.get(o.segment)?;
-            Accuracy::of(o.result.as_ref().ok()?, segment, &capture.truth, from_s)
+            Accuracy::measure(o.result.as_ref().ok()?, segment, &capture.truth, from_s)
         };
         Self {
             capture,

@@ -90,7 +90,7 @@ impl<'a> ResultWriter<'a> {
     /// If they cannot be written.
     pub fn take(&mut self, capture: Capture, mut examined: Examination) -> Result<()> {
         self.complain(&examined);
-        let reported = ReportedCapture::of(&capture, &examined, self.options.from_s);
+        let reported = ReportedCapture::new(&capture, &examined, self.options.from_s);
         if self.tables.is_empty() {
             let tables = self.options.tables.iter();
             self.tables = tables.map(|t| CsvTable::create(t)).collect::<Result<_>>()?;

@@ -74,7 +74,7 @@ impl InspectArgs {
     fn inspect(&self, loaded: &LoadedCapture, json: bool) -> Result<()> {
         let input = self.capture.input()?;
         let sensors = self.sensors.options(&input);
-        let survey = Survey::of(&loaded.capture, &input.hints())?;
+        let survey = Survey::from_capture(&loaded.capture, &input.hints())?;
         let calibrated = calibrate(&loaded.capture, survey, &input.hints(), sensors)?;
         let remarks = calibrated.remarks();
         let (capture, survey) = (calibrated.capture.as_ref(), &calibrated.survey);

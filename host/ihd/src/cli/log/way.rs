@@ -42,7 +42,9 @@ pub(super) fn by_probe(selector: Option<&str>) -> Result<Box<dyn LogOpener>> {
 pub(super) fn opener(
     device: &str,
 ) -> Result<impl FnMut() -> Result<Box<dyn ihd_link::Transport>, ihd_link::LinkError> + use<>> {
-    let spec: ihd_link::DeviceSpec = device.parse().map_err(super::super::usage::Usage::of)?;
+    let spec: ihd_link::DeviceSpec = device
+        .parse()
+        .map_err(super::super::usage::Usage::from_error)?;
     ensure_usage!(
         spec != ihd_link::DeviceSpec::Sim,
         "a simulated hob lives in `ihd hob`: name it as tcp:HOST:PORT"

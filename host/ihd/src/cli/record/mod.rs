@@ -186,7 +186,7 @@ impl RecordArgs {
     /// Records a device at an address.
     #[cfg(not(feature = "daemon"))]
     fn of_device(&self, global: &Global) -> Result<()> {
-        let spec: DeviceSpec = self.device.parse().map_err(Usage::of)?;
+        let spec: DeviceSpec = self.device.parse().map_err(Usage::from_error)?;
         let Some(out) = &self.out else {
             return Err(Usage("--out FILE: where the capture goes".into()).into());
         };

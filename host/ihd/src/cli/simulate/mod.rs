@@ -99,10 +99,10 @@ pub struct SimulateArgs {
 impl SimulateArgs {
     /// Converts the arguments to a specification.
     pub fn settings(&self) -> Result<CaptureSpec> {
-        let mut s = CaptureSpec::preset(&self.what).map_err(Usage::of)?;
+        let mut s = CaptureSpec::preset(&self.what).map_err(Usage::from_error)?;
         keys::parse::<SpecOptions>("--set", &self.set)?.apply(&mut s);
         s.seed = self.seed.unwrap_or(s.seed);
-        s.check().map_err(Usage::of)?;
+        s.check().map_err(Usage::from_error)?;
         Ok(s)
     }
 

@@ -46,8 +46,8 @@ pub enum CurveQuantity {
 }
 
 impl CurveQuantity {
-    /// Values and standard deviations of an estimate, in the unit of the axis; without σ the second is empty.
-    fn of(self, estimate: &Estimate) -> (Vec<f64>, Vec<f64>) {
+    /// Extracts an estimate's values and standard deviations, in the unit of the axis; without σ the second is empty.
+    fn extract(self, estimate: &Estimate) -> (Vec<f64>, Vec<f64>) {
         let scaled = |values: &[f64], unit: f64| values.iter().map(|x| x / unit).collect();
         match self {
             Self::Resistance => (estimate.r_ohm.clone(), estimate.r_sigma_ohm.clone()),
@@ -77,7 +77,7 @@ struct Point {
 }
 
 fn points(estimate: &Estimate, quantity: CurveQuantity) -> impl Iterator<Item = Point> {
-    let (values, sigmas) = quantity.of(estimate);
+    let (values, sigmas) = quantity.extract(estimate);
     let t_s = estimate.t_s.clone();
     values
         .into_iter()

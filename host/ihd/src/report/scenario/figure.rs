@@ -77,7 +77,7 @@ fn chart(
         y: Axis::linear(label, bottom..top),
     };
     let named = curves.iter().filter(|c| !c.name.is_empty());
-    let mut entries: Vec<LegendEntry> = named.map(LegendEntry::of).collect();
+    let mut entries: Vec<LegendEntry> = named.map(LegendEntry::from_curve).collect();
     entries.extend(alarm(record));
     // Under the curves.
     let alarms = record

@@ -121,7 +121,7 @@ pub(super) struct Bases(BTreeMap<usize, Rc<Basis>>);
 
 impl Bases {
     /// Returns the basis for a number of samples.
-    pub fn of(&mut self, samples: usize) -> Rc<Basis> {
+    pub fn get_or_create(&mut self, samples: usize) -> Rc<Basis> {
         let samples = samples.max(MIN_SAMPLES);
         let new = || Rc::new(Basis::new(samples));
         Rc::clone(self.0.entry(samples).or_insert_with(new))
@@ -138,7 +138,7 @@ mod tests {
         // Over two radian; a few samples have fewer polynomials.
         for (samples, tolerance) in [(7, 2e-4), (10, 2e-6), (130, 2e-7), (1301, 2e-7)] {
             let (dt_s, from) = (2.0 / (samples - 1) as f64, 0.3);
-            let basis = bases.of(samples);
+            let basis = bases.get_or_create(samples);
             let t = |k: usize| from + k as f64 * dt_s;
             let sine = basis.project(|k| t(k).sin());
             let fitted = basis.at_samples(&sine);

@@ -71,7 +71,12 @@ pub fn calibrate<'a>(
     hints: &Hints,
     options: BlindOptions,
 ) -> Result<CalibratedCapture<'a>, SurveyError> {
-    calibrate_surveyed(capture, Survey::of(capture, hints)?, hints, options)
+    calibrate_surveyed(
+        capture,
+        Survey::from_capture(capture, hints)?,
+        hints,
+        options,
+    )
 }
 
 /// Calibrates as [`calibrate`] does a capture that was surveyed with these hints.
@@ -105,7 +110,7 @@ pub fn calibrate_surveyed<'a>(
         correction.apply(changed.get_or_insert_with(|| capture.clone()));
     }
     let survey = match &changed {
-        Some(changed) => Survey::of(changed, hints)?,
+        Some(changed) => Survey::from_capture(changed, hints)?,
         None => survey,
     };
     Ok(CalibratedCapture {

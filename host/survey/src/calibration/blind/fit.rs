@@ -129,7 +129,7 @@ pub(super) struct Scope<'a> {
 const STEPS: usize = 6;
 
 impl Scope<'_> {
-    fn of(&self) -> impl Iterator<Item = &Plateau> {
+    fn selected_plateaus(&self) -> impl Iterator<Item = &Plateau> {
         let side = self.side;
         self.plateaus
             .iter()
@@ -239,7 +239,7 @@ impl Scope<'_> {
             let shares = self.shares(model, side, at);
             all += shares.tr_mul(&(self.moments[side] * &shares));
         }
-        Normal::of(&all)
+        Normal::from_products(&all)
     }
 
     /// Covariance from the residuals plateau by plateau, whatever their spectrum; the residuals; and their common shape.
@@ -253,7 +253,7 @@ impl Scope<'_> {
         let columns = self.columns(model);
         let mut meat = DMatrix::zeros(columns, columns);
         let (mut left, mut numbers) = (0.0, 0);
-        let most = self.of().map(|p| p.rows.len()).max()?;
+        let most = self.selected_plateaus().map(|p| p.rows.len()).max()?;
         let mut shape = vec![(0.0, 0.0); 2 * most];
         let mut capacitor = 0.0;
         for side in self.sides() {
@@ -263,7 +263,7 @@ impl Scope<'_> {
             let charge = design.column(0);
             capacitor += at.0 * at.0 * charge.dot(&(self.moments[side] * charge));
             let mut scores = Moments::zeros();
-            for p in self.of().filter(|p| p.side == side) {
+            for p in self.selected_plateaus().filter(|p| p.side == side) {
                 let mut score = SVector::<f64, REGRESSORS>::zeros();
                 for (row, sums) in p.rows.iter().zip(&mut shape[side * most..]) {
                     let row = SVector::from(*row);
@@ -316,7 +316,7 @@ struct Normal {
 }
 
 impl Normal {
-    fn of(all: &DMatrix<f64>) -> Option<Self> {
+    fn from_products(all: &DMatrix<f64>) -> Option<Self> {
         let n = all.nrows() - 1;
         // A column without content, such as the slope of a steady bus, stays unscaled.
         let scale = DVector::from_fn(n, |k, _| match all[(k, k)].sqrt() {

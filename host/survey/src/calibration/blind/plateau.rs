@@ -128,7 +128,7 @@ fn plateau(
     tail: Option<Tail>,
     (charge_c, bases): (&[f64], &mut Bases),
 ) -> Plateau {
-    let basis = bases.of(to - from);
+    let basis = bases.get_or_create(to - from);
     let dt_s = stretch.dt_s;
     let half_s = 0.5 * (to - from - 1) as f64 * dt_s;
     let v = basis.project(|k| stretch.v_v[from + k]);

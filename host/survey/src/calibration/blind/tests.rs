@@ -38,12 +38,12 @@ fn capture(settings: &CaptureSpec) -> Capture {
 }
 
 fn found(capture: &Capture) -> SelfCalibration {
-    let survey = Survey::of(capture, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(capture, &Hints::default()).unwrap();
     estimate(capture, &survey, None).unwrap()
 }
 
 fn load(capture: &Capture) -> Load {
-    let survey = Survey::of(capture, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(capture, &Hints::default()).unwrap();
     survey.spans[0].load.unwrap()
 }
 
@@ -276,7 +276,7 @@ fn steps_of_a_few_bits_are_not_taken_for_a_lag() {
     for (x, step) in [(&mut few.v_v, 20.0), (&mut few.i_a, 4.0)] {
         x.iter_mut().for_each(|x| *x = (*x / step).round() * step);
     }
-    let survey = Survey::of(&few, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(&few, &Hints::default()).unwrap();
     let e = estimate(&few, &survey, None).unwrap_err();
     assert!(matches!(e, BlindError::TooCoarse { .. }), "{e:?}");
     assert_eq!(e.remark().severity, Severity::Info);
@@ -289,7 +289,7 @@ fn a_gain_shows_against_a_known_capacitor_alone() {
         ..scope()
     };
     let c = capture(&settings(sensing, 6));
-    let survey = Survey::of(&c, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(&c, &Hints::default()).unwrap();
     let code = |known| {
         let f = estimate(&c, &survey, known).unwrap();
         let remark = f.remarks(false).pop().unwrap();
@@ -313,7 +313,7 @@ fn what_has_no_plateaus_is_not_judged() {
         *v = (290.0 * angle.sin() + noise) as f32;
         *i = (40.0 * (angle - 1.0).sin()) as f32;
     }
-    let survey = Survey::of(&sine, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(&sine, &Hints::default()).unwrap();
     let e = estimate(&sine, &survey, None).unwrap_err();
     assert_eq!(e, BlindError::NoEdges);
     assert_eq!(e.remark().severity, Severity::Info);
@@ -329,7 +329,7 @@ fn the_bridges_voltage_in_place_of_the_coils_is_noticed() {
         q_c += (f64::from(*i) - mean) * DT_S;
         *v += (q_c / 1080e-9) as f32;
     }
-    let survey = Survey::of(&c, &Hints::default()).unwrap();
+    let survey = Survey::from_capture(&c, &Hints::default()).unwrap();
     let e = estimate(&c, &survey, None);
     assert_eq!(e, Err(BlindError::BridgeVoltage));
 }

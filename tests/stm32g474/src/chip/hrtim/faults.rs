@@ -90,13 +90,13 @@ impl Hrtim {
         let mut kept = value;
         for [enable, polarity, source, filter, lock] in INPUTS {
             let settings = polarity.mask() | source.mask() | filter.mask();
-            if lock.of(before) == 1 {
+            if lock.extract(before) == 1 {
                 let all = settings | enable.mask() | lock.mask();
                 if (value ^ before) & all != 0 {
                     log.broken("HRTIM FLTINR1 written after FLTxLCK (RM0440 27.5.50)");
                 }
                 kept = (kept & !all) | (before & all);
-            } else if enable.of(before) == 1 && (value ^ before) & settings != 0 {
+            } else if enable.extract(before) == 1 && (value ^ before) & settings != 0 {
                 log.broken("HRTIM FLTINR1: polarity, source and filter change only while FLTxE is 0 (RM0440 27.5.50)");
             }
         }

@@ -28,10 +28,10 @@ impl Usb {
     /// Register that serves an endpoint; `None` before the reset is acknowledged, in suspend, or for another address or endpoint.
     fn addressed(&self, address: u8, endpoint: u8, status: Field) -> Option<usize> {
         let listens = self.powered()
-            && istr::RESET.of(self.flags) == 0
+            && istr::RESET.extract(self.flags) == 0
             && !self.on(cntr::FSUSP)
-            && daddr::EF.of(self.address) != 0
-            && daddr::ADD.of(self.address) == u32::from(address);
+            && daddr::EF.extract(self.address) != 0
+            && daddr::ADD.extract(self.address) == u32::from(address);
         let answers = |e: &Endpoint| {
             e.get(ep0r::EA) == u32::from(endpoint) && e.get(status) != endpoint::DISABLED
         };
@@ -73,7 +73,7 @@ impl Device for Usb {
     fn start_of_frame(&mut self, number: u16) {
         if self.powered() {
             self.activity();
-            self.frame = fnr::FN.of(number.into());
+            self.frame = fnr::FN.extract(number.into());
             self.frames = (self.frames + 1).min(3);
             self.flags |= istr::SOF.mask();
         }
