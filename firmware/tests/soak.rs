@@ -200,7 +200,7 @@ impl Soak {
         self.faults += u64::from(fault != Fault::NONE && was == Fault::NONE);
         let f_sw_hz = drive.f_sw_hz;
         assert!(
-            (pwm::LOWEST_HZ..=pwm::HIGHEST_HZ).contains(&f_sw_hz),
+            (pwm::MIN_HZ..=pwm::MAX_HZ).contains(&f_sw_hz),
             "{f_sw_hz} Hz"
         );
         if fault != Fault::NONE {

@@ -21,7 +21,7 @@ use reader::Reader;
 
 /// The longest text that a frame of 4 KiB makes: seven bytes of values a byte, some of which name a format string of 70
 /// characters, each of which may be escaped.
-const LONGEST_TEXT: usize = 7 * 4096 * 80;
+const MAX_TEXT_BYTES: usize = 7 * 4096 * 80;
 
 static ELF: LazyLock<Vec<u8>> = LazyLock::new(|| SampleLog::of_everything().elf());
 
@@ -43,7 +43,7 @@ libfuzzer_sys::fuzz_target!(|bytes: &[u8]| {
     for one in &found {
         if let Decoded::Message(message) = one {
             assert!(message.text.chars().all(is_shown), "{:?}", message.text);
-            assert!(message.text.len() < LONGEST_TEXT);
+            assert!(message.text.len() < MAX_TEXT_BYTES);
         }
         assert!(*one != Decoded::Unread);
     }

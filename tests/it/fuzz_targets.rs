@@ -30,7 +30,7 @@ mod survey;
 const CHANGED: usize = 2;
 
 /// Longest input in bytes, as libFuzzer has it (xtask/src/fuzz.rs).
-const LONGEST: usize = 16_384;
+const MAX_INPUT_BYTES: usize = 16_384;
 
 /// Files of the target's corpus, and of the folders that fuzz/Cargo.toml names for it.
 fn seeds(target: &str) -> Vec<Vec<u8>> {
@@ -50,7 +50,8 @@ fn seeds(target: &str) -> Vec<Vec<u8>> {
         .collect();
     files.sort();
     let read = files.iter().map(|path| fs::read(path).unwrap());
-    read.filter(|bytes| bytes.len() <= LONGEST).collect()
+    read.filter(|bytes| bytes.len() <= MAX_INPUT_BYTES)
+        .collect()
 }
 
 /// One of the changes that libFuzzer makes: bits, bytes, lengths, a piece twice or gone.
@@ -67,7 +68,7 @@ fn change(bytes: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
             _ => {}
         }
     }
-    bytes.truncate(LONGEST);
+    bytes.truncate(MAX_INPUT_BYTES);
 }
 
 fn run(target: &str, fuzz: fn(&[u8])) {

@@ -207,7 +207,7 @@ impl Heating {
         if granted_w <= self.bursts_to_w {
             return;
         }
-        let too_much = summary.f_sw_hz == pwm::HIGHEST_HZ
+        let too_much = summary.f_sw_hz == pwm::MAX_HZ
             && u64::from(summary.power_mw) > u64::from(granted_w) * 10 * (100 + MAX_EXCESS_PERCENT);
         self.with_excess = if too_much { self.with_excess + 1 } else { 0 };
         if self.with_excess >= EXCESS_HALF_CYCLES {

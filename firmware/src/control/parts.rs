@@ -52,7 +52,7 @@ impl Default for ControlParts {
             supply_share: SupplyShare::default(),
             power: PowerControl::default(),
             pot: Pot::Unknown,
-            heated_hz: pwm::HIGHEST_HZ,
+            heated_hz: pwm::MAX_HZ,
         }
     }
 }

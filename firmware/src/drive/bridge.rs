@@ -36,7 +36,7 @@ pub struct Drive {
 impl Drive {
     /// Both switches open, sampling at the highest rate.
     pub const OFF: Self = Self {
-        f_sw_hz: pwm::HIGHEST_HZ,
+        f_sw_hz: pwm::MAX_HZ,
         bridge: Bridge::Open,
     };
 

@@ -68,10 +68,10 @@ pub const fn nearest_hz(f_sw_hz: u32) -> u32 {
 }
 
 /// The grid's lowest frequency, in hertz.
-pub const LOWEST_HZ: u32 = nearest_hz(F_SW_MIN_HZ);
+pub const MIN_HZ: u32 = nearest_hz(F_SW_MIN_HZ);
 
 /// The grid's highest frequency, in hertz: the probe frequency.
-pub const HIGHEST_HZ: u32 = nearest_hz(F_SW_MAX_HZ);
+pub const MAX_HZ: u32 = nearest_hz(F_SW_MAX_HZ);
 
 // The timer counts 16 bit, and its period may not be shorter than 96 ticks at this prescaler.
 const _: () = assert!(P * M_MAX <= 0xFFDF && ADC_LOCK_Q * M_MIN >= 96 && M_MIN < M_MAX);

@@ -26,7 +26,7 @@ impl PotProbe {
 
     /// At the highest frequency, where any load takes least.
     pub const FIRST: Self = Self {
-        f_sw_hz: pwm::HIGHEST_HZ,
+        f_sw_hz: pwm::MAX_HZ,
         lasts_ns: PROBE_NS,
     };
     /// At a lower one: how R changes with the frequency.

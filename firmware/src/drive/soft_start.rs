@@ -45,12 +45,12 @@ impl SoftStart {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drive::pwm::{DEAD_TIME_NS, HIGHEST_HZ};
+    use crate::drive::pwm::{DEAD_TIME_NS, MAX_HZ};
 
     #[test]
     fn the_share_grows_to_the_whole_and_begins_anew_after_off() {
         let mut soft = SoftStart::new();
-        let drive = Drive::switching(HIGHEST_HZ);
+        let drive = Drive::switching(MAX_HZ);
         for share in FIRST_SHARE..WHOLE_SHARE {
             assert_eq!(soft.on_block(drive), share);
         }
@@ -65,7 +65,7 @@ mod tests {
     /// A pulse shorter than the dead time is none.
     #[test]
     fn the_first_pulse_is_longer_than_the_dead_time() {
-        let half_ns = 500_000_000 / HIGHEST_HZ;
+        let half_ns = 500_000_000 / MAX_HZ;
         assert!(
             half_ns * FIRST_SHARE / WHOLE_SHARE > DEAD_TIME_NS,
             "{half_ns}"

@@ -20,7 +20,7 @@ use crate::switching_off::switch_off;
 const COMMAND_TIMEOUT: Duration = Duration::from_secs(15);
 
 /// Longest name of a holder, in characters.
-const LONGEST_HOLDER: usize = 128;
+const MAX_HOLDER: usize = 128;
 
 /// Commander of all devices.
 pub struct Commander {
@@ -282,7 +282,7 @@ fn leased_error(record: &DeviceRecord, lease: Lease) -> CommandError {
 
 /// Returns a holder's name from the API as printable, limited text for logs and terminals.
 fn holder_name(holder: &str) -> String {
-    let name: String = printable(holder).chars().take(LONGEST_HOLDER).collect();
+    let name: String = printable(holder).chars().take(MAX_HOLDER).collect();
     match name.trim() {
         "" => "somebody".to_owned(),
         name => name.to_owned(),

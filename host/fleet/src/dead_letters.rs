@@ -17,7 +17,7 @@ pub(crate) const WHY: &str = "Ihd-Why";
 pub(crate) const BY: &str = "Ihd-By";
 
 /// Longest reason, in bytes: headers are short.
-const LONGEST_WHY: usize = 500;
+const MAX_REASON_BYTES: usize = 500;
 
 /// A window that was given up.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -72,11 +72,11 @@ pub(crate) async fn bury(
     }
 }
 
-/// Makes a header value: no control characters, at most [`LONGEST_WHY`] bytes.
+/// Makes a header value: no control characters, at most [`MAX_REASON_BYTES`].
 fn header(text: &str) -> String {
     let plain = text.chars().map(|c| if c.is_control() { ' ' } else { c });
     let mut text: String = plain.collect();
-    while text.len() > LONGEST_WHY {
+    while text.len() > MAX_REASON_BYTES {
         text.pop();
     }
     text

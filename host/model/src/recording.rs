@@ -6,10 +6,10 @@ use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 /// Longest pre-trigger, in seconds; the ring keeps as much.
-const LONGEST_PRE_TRIGGER_S: f64 = 60.0;
+const MAX_PRE_TRIGGER_S: f64 = 60.0;
 
 /// Longest set duration of a recording: a week, in seconds.
-const LONGEST_S: f64 = 604_800.0;
+const MAX_DURATION_S: f64 = 604_800.0;
 
 /// Quantity of a half-cycle that a trigger level can be set on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -132,17 +132,17 @@ impl RecordSettings {
     /// # Errors
     /// Description of the value that is out of range.
     pub fn check(&self) -> Result<(), String> {
-        if !(0.0..=LONGEST_PRE_TRIGGER_S).contains(&self.pre_trigger_s) {
+        if !(0.0..=MAX_PRE_TRIGGER_S).contains(&self.pre_trigger_s) {
             return Err(format!(
-                "the pre-trigger is {} s, but must lie between 0 and {LONGEST_PRE_TRIGGER_S} s",
+                "the pre-trigger is {} s, but must lie between 0 and {MAX_PRE_TRIGGER_S} s",
                 self.pre_trigger_s
             ));
         }
         if let Some(s) = self.duration_s
-            && !(s > 0.0 && s <= LONGEST_S)
+            && !(s > 0.0 && s <= MAX_DURATION_S)
         {
             return Err(format!(
-                "the duration is {s} s, but must lie above 0 and up to {LONGEST_S} s"
+                "the duration is {s} s, but must lie above 0 and up to {MAX_DURATION_S} s"
             ));
         }
         match self.trigger {

@@ -10,7 +10,7 @@ pub use realfft::{ComplexToReal, RealToComplex};
 
 /// Plans that a thread keeps, and their longest length: windows of a device repeat few lengths, captures may have any.
 const MAX_PLANS: usize = 4;
-const LONGEST_KEPT: usize = 1 << 14;
+const MAX_KEPT_POINTS: usize = 1 << 14;
 
 thread_local! {
     /// Latest plans, the newest first.
@@ -21,7 +21,7 @@ thread_local! {
 #[inline(never)]
 pub fn forward(points: usize) -> Arc<dyn RealToComplex<f64>> {
     let planned = || RealFftPlanner::new().plan_fft_forward(points);
-    if points > LONGEST_KEPT {
+    if points > MAX_KEPT_POINTS {
         return planned();
     }
     LATEST.with_borrow_mut(|latest| {

@@ -28,7 +28,7 @@ const MAX_FRAMES: usize = 32;
 const KEPT_PER_PERIOD: f64 = 64.0;
 
 /// Highest order of f_sw that is evaluated.
-const HIGHEST_ORDER: f64 = 8.75;
+const MAX_ORDER: f64 = 8.75;
 
 /// Bins on either side of a harmonic that its lobe (4 bins) and its modulation occupy.
 const LINE_BINS: f64 = 6.5;
@@ -216,7 +216,7 @@ impl Frames {
 
     /// Bins between the harmonics, away from them.
     fn places(&self) -> Vec<usize> {
-        let highest = HIGHEST_ORDER.min(0.5 * self.per_period - 0.2);
+        let highest = MAX_ORDER.min(0.5 * self.per_period - 0.2);
         let taken = (LINE_BINS * self.order_per_bin).min(LINE_MOST);
         let away = |order: f64| (order - order.round()).abs() >= taken;
         let order = |bin: &usize| *bin as f64 * self.order_per_bin;

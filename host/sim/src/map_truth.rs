@@ -19,7 +19,7 @@ use std::f64::consts::{FRAC_2_PI, FRAC_PI_2, TAU};
 use ihd_firmware::control::pot::classify;
 use ihd_firmware::control::power::bounds::Bounds;
 use ihd_firmware::drive::bridge::Bridge;
-use ihd_firmware::drive::pwm::{DEAD_TIME_NS, HIGHEST_HZ};
+use ihd_firmware::drive::pwm::{DEAD_TIME_NS, MAX_HZ};
 use ihd_firmware::limits::SMALL_POT_PERCENT;
 use ihd_firmware::sampling::half_cycle::{CurrentCrest, HalfCycle};
 use ihd_shared::hob::{
@@ -244,7 +244,7 @@ impl TrueLoad {
     /// # Errors
     /// Any error of [`TrueLoad::curve`].
     pub fn heated_with(&self, power_w: f64) -> Result<TrueCurve, InverterError> {
-        let mut high = self.curve(f64::from(HIGHEST_HZ))?;
+        let mut high = self.curve(f64::from(MAX_HZ))?;
         if high.power_w > power_w {
             return Ok(high);
         }

@@ -6,17 +6,17 @@ use super::{Store, StoreError};
 
 /// Longest counted step between two collections, twice the daemon's period of collections. A longer pause or a jump of the clock counts
 /// as this.
-const LONGEST_STEP_MS: i64 = 20 * 60_000;
+const MAX_STEP_MS: i64 = 20 * 60_000;
 
 /// Key of the row with the total time in use.
 const NOW: &str = "";
 
 impl Store {
-    /// Adds the time since this process's last collection to the time in use, up to [`LONGEST_STEP_MS`].
+    /// Adds the time since this process's last collection to the time in use, up to [`MAX_STEP_MS`].
     pub(crate) fn grow_older(&mut self) -> Result<(), StoreError> {
         let now = self.now();
         let last = self.collected_ms.unwrap_or(now);
-        let step = now.saturating_sub(last).clamp(0, LONGEST_STEP_MS);
+        let step = now.saturating_sub(last).clamp(0, MAX_STEP_MS);
         self.change("counting the time in use", |change| {
             change.execute(
                 "INSERT INTO used (day, used_ms) VALUES (?1, ?2)

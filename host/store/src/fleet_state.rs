@@ -25,7 +25,7 @@ const DEAD: &str = "dead: ";
 const DAMAGED: &str = "dead: damaged in the store";
 
 /// Longest stored reason, in characters.
-const LONGEST_WHY: usize = 200;
+const MAX_REASON_CHARS: usize = 200;
 
 /// State of a window in a fleet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,7 +132,7 @@ impl Store {
         seq: u32,
         why: &str,
     ) -> Result<(), StoreError> {
-        let why: String = why.chars().take(LONGEST_WHY).collect();
+        let why: String = why.chars().take(MAX_REASON_CHARS).collect();
         self.end(device, boot, seq, Some(&format!("{DEAD}{why}")))
     }
 

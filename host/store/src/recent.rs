@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 pub(crate) const LAST_MS: i64 = 3_600_000;
 
 /// Longest counted step between two windows. A longer one is a pause or a jump of the clock, and counts as this.
-pub(crate) const LONGEST_STEP_MS: i64 = 60_000;
+pub(crate) const MAX_STEP_MS: i64 = 60_000;
 
 /// Time between two marks.
 const MARK_EVERY_MS: i64 = 60_000;
@@ -31,7 +31,7 @@ impl Recent {
     /// Adds a window: its day's file, its row there, and the time at which it was stored in milliseconds since 1970, UTC.
     pub(crate) fn note(&mut self, day: &str, id: i64, at_ms: i64) {
         let last_ms = self.last_ms.replace(at_ms).unwrap_or(at_ms);
-        self.recorded_ms += at_ms.saturating_sub(last_ms).clamp(0, LONGEST_STEP_MS);
+        self.recorded_ms += at_ms.saturating_sub(last_ms).clamp(0, MAX_STEP_MS);
         let is_marked = self.marks.back().is_some_and(|mark| {
             mark.day == day && self.recorded_ms - mark.recorded_ms < MARK_EVERY_MS
         });

@@ -457,7 +457,7 @@ impl Store {
             let day = Day::open(file)?;
             let (first, span_ms) = day.first_row_within(left_ms)?;
             self.recent.resume(&day.file.day, first);
-            left_ms -= span_ms + recent::LONGEST_STEP_MS;
+            left_ms -= span_ms + recent::MAX_STEP_MS;
             if left_ms <= 0 {
                 break;
             }

@@ -24,7 +24,7 @@ const WRITE_TIME: Duration = Duration::from_micros(90);
 const OPTIONS_TIME: Duration = Duration::from_millis(30);
 
 /// Longest wait that it requests of a host.
-const LONGEST_POLL: Duration = Duration::from_millis(100);
+const MAX_POLL: Duration = Duration::from_millis(100);
 
 /// bStatus (DFU 1.1, 6.1.2), those that are used here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -334,7 +334,7 @@ impl Bootloader {
         } else {
             self.status
         };
-        let poll = (poll.min(LONGEST_POLL).as_micros().div_ceil(1000) as u32).to_le_bytes();
+        let poll = (poll.min(MAX_POLL).as_micros().div_ceil(1000) as u32).to_le_bytes();
         vec![told as u8, poll[0], poll[1], poll[2], self.state as u8, 0]
     }
 

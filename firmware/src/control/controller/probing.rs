@@ -107,16 +107,16 @@ impl Control {
             (Pot::Ferromagnetic | Pot::Small, ControlState::Heating(heating)) => {
                 // Another pot may take too much where the last one was heated.
                 if !self.parts.power.permits(summary, self.parts.heated_hz) {
-                    self.parts.heated_hz = pwm::HIGHEST_HZ;
+                    self.parts.heated_hz = pwm::MAX_HZ;
                 }
                 heating.go_on(self.parts.heated_hz)
             }
             (Pot::Ferromagnetic | Pot::Small, _) => {
-                (self.parts.pot, self.parts.heated_hz) = (pot, pwm::HIGHEST_HZ);
+                (self.parts.pot, self.parts.heated_hz) = (pot, pwm::MAX_HZ);
                 self.enter(ControlState::Heating(Heating::new(status.now_ms)));
                 self.parts.supply_share.note(summary.power_mw);
                 if self.parts.supply_share.claim() {
-                    Action::Drive(Drive::switching(pwm::HIGHEST_HZ))
+                    Action::Drive(Drive::switching(pwm::MAX_HZ))
                 } else {
                     Action::Drive(Drive::OFF)
                 }

@@ -94,7 +94,7 @@ impl Bench {
                 ..self.summary(true)
             };
             // As in a pot's skin.
-            let share = (f64::from(probe.f_sw_hz) / f64::from(pwm::HIGHEST_HZ)).sqrt();
+            let share = (f64::from(probe.f_sw_hz) / f64::from(pwm::MAX_HZ)).sqrt();
             probe.crest.r.0 = (f64::from(probe.crest.r.0) * share * 0.95) as i32;
             let action = self.control.on_half_cycle(&probe, &self.status());
             self.act(action);
@@ -163,7 +163,7 @@ fn heating() -> Bench {
 fn a_pot_is_looked_at_then_heated() {
     let bench = heating();
     assert_eq!(bench.control.pot(), Pot::Ferromagnetic);
-    assert!(bench.drive.is_switching() && bench.drive.f_sw_hz < pwm::HIGHEST_HZ);
+    assert!(bench.drive.is_switching() && bench.drive.f_sw_hz < pwm::MAX_HZ);
 }
 
 #[test]

@@ -39,7 +39,7 @@ fn search(
 
 fn settle_on(load: &RlLookup, lookup: &RlLookup, asked_w: u64, plant: f64) -> (u32, f64) {
     let mut control = PowerControl::default();
-    let mut f = pwm::HIGHEST_HZ;
+    let mut f = pwm::MAX_HZ;
     let mut power = 0.0;
     for _ in 0..60 {
         power = predict(load, f, 3_253).map_or(0.0, |p| p.power_mw as f64 * plant);

@@ -15,7 +15,7 @@ use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel}
 use crate::error::FormatError;
 
 /// Limit of the text before the samples, in bytes.
-const LONGEST_HEADER: usize = 16 * 1024;
+const MAX_HEADER_BYTES: usize = 16 * 1024;
 
 /// Returns `true` if a file with this beginning is an ISF.
 pub fn is_isf(head: &[u8]) -> bool {
@@ -89,11 +89,11 @@ impl IsfSource {
     /// # Errors
     /// [`FormatError`] for a damaged header, samples as text, and envelopes.
     pub fn open(mut input: Input) -> Result<Self, FormatError> {
-        let mut begin = vec![0; LONGEST_HEADER.min(input.length() as usize)];
+        let mut begin = vec![0; MAX_HEADER_BYTES.min(input.length() as usize)];
         input.exact(&mut begin)?;
         let is_curve = |word: &[u8]| word.eq_ignore_ascii_case(b":CURV");
         let curve = begin.windows(5).position(is_curve).ok_or_else(|| {
-            let what = format!("no :CURVE in the first {LONGEST_HEADER} bytes");
+            let what = format!("no :CURVE in the first {MAX_HEADER_BYTES} bytes");
             FormatError::at_byte(0, what)
         })?;
         let (text, block) = begin.split_at(curve);

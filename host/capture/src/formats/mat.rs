@@ -22,7 +22,7 @@ const MX_CHAR: u8 = 4;
 const MX_NUMBERS: std::ops::RangeInclusive<u8> = 6..=15;
 
 /// Limit of a name or text, in bytes.
-const LONGEST_TEXT: u32 = 256;
+const MAX_TEXT_BYTES: u32 = 256;
 
 /// Limit of arrays in a file.
 const MAX_ARRAYS: usize = 10_000;
@@ -193,10 +193,10 @@ impl<'a> Matrix<'a> {
         let [Some(&class), Some(&flag)] = word else {
             return Err(self.wrong("no array flags"));
         };
-        let dimensions = self.short(LONGEST_TEXT)?;
+        let dimensions = self.short(MAX_TEXT_BYTES)?;
         let mut sizes = Vec::new();
         super::input::decode(&dimensions, SampleType::I32, self.endian, |d| sizes.push(d));
-        let name = self.short(LONGEST_TEXT)?;
+        let name = self.short(MAX_TEXT_BYTES)?;
         let name = name.iter().map(|b| char::from(*b)).collect();
         let count = sizes.iter().product::<f64>();
         if sizes.len() < 2 || sizes.iter().any(|d| *d < 0.0) || count > u32::MAX.into() {
@@ -221,7 +221,7 @@ impl<'a> Matrix<'a> {
             scalar: None,
             text: None,
         };
-        if description.class == MX_CHAR && count <= LONGEST_TEXT.into() {
+        if description.class == MX_CHAR && count <= MAX_TEXT_BYTES.into() {
             let mut text = String::new();
             self.numbers(count, &mut |c| {
                 text.extend(char::from_u32(c as u32).filter(|c| !c.is_control()));

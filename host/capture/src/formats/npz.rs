@@ -16,7 +16,7 @@ use crate::error::FormatError;
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
 /// Limit of an array's header, in bytes.
-const LONGEST_HEADER: usize = 4096;
+const MAX_HEADER_BYTES: usize = 4096;
 
 /// Limit of arrays in a file.
 const MAX_ARRAYS: usize = 10_000;
@@ -28,7 +28,7 @@ const ENDING: &str = ".npy";
 const NOTES: &str = "metadata.json";
 
 /// Limit of the notes in bytes; longer ones are of another program.
-const LONGEST_NOTES: u64 = 1 << 20;
+const MAX_NOTES_BYTES: u64 = 1 << 20;
 
 /// Archive and its notes.
 pub struct NpzSource {
@@ -90,7 +90,7 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<NpzSource, FormatError> {
             .name()
             .map_err(|e| in_archive(0, "a member's name", &e))?;
         if name == NOTES {
-            let text = member.by_ref().take(LONGEST_NOTES);
+            let text = member.by_ref().take(MAX_NOTES_BYTES);
             notes = serde_json::from_reader(text).unwrap_or_default();
             continue;
         }
@@ -205,9 +205,9 @@ impl Header {
             member.read_exact(&mut bytes).map_err(failed)?;
             (u32::from_le_bytes(bytes) as usize, 12)
         };
-        if length > LONGEST_HEADER {
+        if length > MAX_HEADER_BYTES {
             return Err(format!(
-                "header of {length} bytes; {LONGEST_HEADER} are the most"
+                "header of {length} bytes; {MAX_HEADER_BYTES} are the most"
             ));
         }
         let mut text = vec![0; length];

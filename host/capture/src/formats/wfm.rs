@@ -36,7 +36,7 @@ const TIME_BASE_BYTES: u64 = 12;
 const NOT_KNOWN: f64 = 0.5;
 
 /// Limit of a text in the metadata, in bytes.
-const LONGEST_TEXT: u64 = 256;
+const MAX_TEXT_BYTES: u64 = 256;
 
 /// A WFM file whose header has been read.
 pub struct WfmSource {
@@ -286,7 +286,7 @@ fn metadata(input: &mut Input, endian: Endian) -> Result<BTreeMap<String, String
 fn sized_text(input: &mut Input, endian: Endian) -> Result<String, FormatError> {
     let length = input.number(SampleType::U32, endian)? as u64;
     input.need(length)?;
-    let read = length.min(LONGEST_TEXT);
+    let read = length.min(MAX_TEXT_BYTES);
     let text = input.text(read as usize)?;
     input.skip(length - read)?;
     Ok(text)

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-use super::{LONGEST_NAME, is_name, is_name_letter};
+use super::{MAX_NAME, is_name, is_name_letter};
 
 /// Server of the fleet, and name and credentials of this edge (docs/fleet.md).
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -56,7 +56,7 @@ fn check_name(name: &str) -> Result<(), String> {
     match is_name(name) {
         true => Ok(()),
         false => Err(format!(
-            "fleet.edge = {name:?}: a name has 1 to {LONGEST_NAME} of a-z, 0-9, - and _"
+            "fleet.edge = {name:?}: a name has 1 to {MAX_NAME} of a-z, 0-9, - and _"
         )),
     }
 }
@@ -72,7 +72,7 @@ pub fn host_name() -> String {
     let name: String = name
         .chars()
         .map(|c| if is_name_letter(c) { c } else { '-' })
-        .take(LONGEST_NAME)
+        .take(MAX_NAME)
         .collect();
     match name.is_empty() {
         true => "edge".to_owned(),

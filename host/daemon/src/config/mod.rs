@@ -20,7 +20,7 @@ use self::fleet::FleetConfig;
 pub const DEFAULT_STORE: &str = "ihd-store";
 
 /// Longest name of a device, an edge or a worker, in characters.
-pub const LONGEST_NAME: usize = 64;
+pub const MAX_NAME: usize = 64;
 
 /// Configuration of the daemon. Paths are relative to the working folder.
 #[derive(Clone, Debug, Deserialize)]
@@ -282,7 +282,7 @@ impl DaemonConfig {
 
 /// Returns `true` if the name is valid in files, URLs, log lines, subjects and keys.
 pub fn is_name(name: &str) -> bool {
-    (1..=LONGEST_NAME).contains(&name.len()) && name.chars().all(is_name_letter)
+    (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_name_letter)
 }
 
 /// Returns `true` if a name may contain the character.
@@ -293,7 +293,7 @@ pub(crate) fn is_name_letter(c: char) -> bool {
 fn check_name(name: &str) -> Result<(), String> {
     if !is_name(name) {
         return Err(format!(
-            "name = {name:?}: a name has 1 to {LONGEST_NAME} of a-z, 0-9, - and _"
+            "name = {name:?}: a name has 1 to {MAX_NAME} of a-z, 0-9, - and _"
         ));
     }
     Ok(())

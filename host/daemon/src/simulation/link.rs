@@ -15,7 +15,7 @@ use super::world::World;
 const STEP: Duration = Duration::from_millis(10);
 
 /// Longest delay of frames, in milliseconds.
-const LONGEST_DELAY_MS: u64 = 3_000;
+const MAX_DELAY_MS: u64 = 3_000;
 
 /// Connection to a hob.
 pub struct SimulatedLink {
@@ -84,7 +84,7 @@ impl SimulatedLink {
         socket_state.hob.advance_to(now);
         let frame = socket_state.hob.take_sent(now)?;
         if socket_state.delay_chance > 0.0 && state.rng.random_bool(socket_state.delay_chance) {
-            let delay = Duration::from_millis(state.rng.random_range(1..LONGEST_DELAY_MS));
+            let delay = Duration::from_millis(state.rng.random_range(1..MAX_DELAY_MS));
             self.delayed_until = now + delay;
         }
         let is_lost = socket_state.is_mute

@@ -8,7 +8,7 @@ use crate::error::DaemonError;
 use crate::history::{ColumnGrid, Columns};
 
 /// Longest time from a window to its result, in milliseconds: the learner's queue is short.
-const LONGEST_WAIT_MS: i64 = 600_000;
+const MAX_WAIT_MS: i64 = 600_000;
 
 impl View {
     /// Returns the history of a device from `from_ms` to `to_ms` (milliseconds since 1970, UTC) in at most `columns`
@@ -54,7 +54,7 @@ fn set_window_times(
     rows: &mut [ResultRow],
 ) -> Result<(), StoreError> {
     let windows: Vec<_> = rows.iter().map(|row| (row.boot, row.seq)).collect();
-    let days = (from_ms.saturating_sub(LONGEST_WAIT_MS), to_ms);
+    let days = (from_ms.saturating_sub(MAX_WAIT_MS), to_ms);
     let times = reader.times_of_windows(device, &windows, days)?;
     for (row, time) in rows.iter_mut().zip(times) {
         row.at_ms = time.unwrap_or(row.at_ms);

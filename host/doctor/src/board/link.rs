@@ -28,7 +28,7 @@ const TO_DEVICE_KB_S: f64 = 5.0;
 const MIN_RATE_TIME: Duration = Duration::from_millis(10);
 
 /// Limit of the time between two feedings of the watchdog: half of the 60 ms that it allows.
-const LONGEST_GAP_MS: f64 = 30.0;
+const MAX_GAP_MS: f64 = 30.0;
 
 /// Limit of the processor's load by a block of samples in percent: the budget of docs/board.md.
 const WORST_PCT: f64 = 80.0;
@@ -149,7 +149,7 @@ fn processor(used: &Utilisation) -> Check {
         vec![
             Measurement::informative("mean", mean, "%"),
             Measurement::at_most("worst", worst, "%", WORST_PCT),
-            Measurement::at_most("longest gap", gap_ms, "ms", LONGEST_GAP_MS),
+            Measurement::at_most("longest gap", gap_ms, "ms", MAX_GAP_MS),
         ],
         "Report it with ihd log's output: samples are lost next",
     )

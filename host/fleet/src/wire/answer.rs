@@ -13,13 +13,13 @@ use super::packing::{Singles, pack, unpack};
 use super::{MessageError, VERSION, check_hob, check_version};
 
 /// Longest text of an answer (a reason, a remark) in bytes.
-const LONGEST_TEXT: usize = 2_000;
+const MAX_TEXT_BYTES: usize = 2_000;
 
 /// Most remarks and most steps.
 const MAX_ENTRIES: usize = 1_024;
 
 /// Longest plausible work on a window in milliseconds; the slowest network takes minutes.
-const LONGEST_BUSY_MS: u32 = 3_600_000;
+const MAX_BUSY_MS: u32 = 3_600_000;
 
 /// Answer of a worker to the window's edge.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,7 +95,7 @@ impl AnswerMessage {
     /// [`MessageError::Packed`] if zstd lacks memory.
     pub fn to_bytes(&self) -> Result<Vec<u8>, MessageError> {
         let answer = &self.answer;
-        let busy_ms = u32::try_from(answer.busy.as_millis()).unwrap_or(LONGEST_BUSY_MS);
+        let busy_ms = u32::try_from(answer.busy.as_millis()).unwrap_or(MAX_BUSY_MS);
         pack(&Fields {
             version: VERSION,
             hob: self.hob.clone(),
@@ -105,11 +105,11 @@ impl AnswerMessage {
             at_ms: self.at_ms,
             by: answer.by.clone(),
             skew_s: answer.skew_s,
-            busy_ms: busy_ms.min(LONGEST_BUSY_MS),
+            busy_ms: busy_ms.min(MAX_BUSY_MS),
             found: match &answer.load {
                 Ok(stated) => Outcome::Load(Load::from_stated(stated)),
                 Err(why) => Outcome::Nothing {
-                    why: why.chars().take(LONGEST_TEXT / 4).collect(),
+                    why: why.chars().take(MAX_TEXT_BYTES / 4).collect(),
                 },
             },
         })
@@ -122,8 +122,8 @@ impl AnswerMessage {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MessageError> {
         let fields: Fields = unpack(bytes)?;
         check_version(fields.version)?;
-        if fields.busy_ms > LONGEST_BUSY_MS {
-            let why = format!("is {}, more than {LONGEST_BUSY_MS}", fields.busy_ms);
+        if fields.busy_ms > MAX_BUSY_MS {
+            let why = format!("is {}, more than {MAX_BUSY_MS}", fields.busy_ms);
             return Err(MessageError::value("busy_ms", why));
         }
         let load = match fields.found {
@@ -230,10 +230,10 @@ fn worker(name: String) -> Result<String, MessageError> {
 }
 
 fn text(field: &'static str, text: String) -> Result<String, MessageError> {
-    match text.len() <= LONGEST_TEXT {
+    match text.len() <= MAX_TEXT_BYTES {
         true => Ok(text),
         false => {
-            let why = format!("has {} bytes, more than {LONGEST_TEXT}", text.len());
+            let why = format!("has {} bytes, more than {MAX_TEXT_BYTES}", text.len());
             Err(MessageError::value(field, why))
         }
     }

@@ -15,7 +15,7 @@ use crate::process::PATIENCE;
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// A run of bytes longer than this is no frame, and passed on as it is.
-const LONGEST_FRAME: usize = 4 * 1024;
+const MAX_FRAME_BYTES: usize = 4 * 1024;
 
 /// Faults of the link, in either direction.
 #[derive(Clone, Copy, Debug, Default)]
@@ -244,7 +244,7 @@ impl Direction {
             self.frame(frame)?;
         }
         pending.drain(..from);
-        if pending.len() > LONGEST_FRAME {
+        if pending.len() > MAX_FRAME_BYTES {
             let rest = std::mem::take(pending);
             self.give(&rest)?;
         }

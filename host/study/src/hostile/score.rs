@@ -17,7 +17,7 @@ pub const LIMIT_R_PCT: f64 = 1.0;
 pub const LIMIT_L_PCT: f64 = 0.7;
 
 /// Number of periods in the middle of a half-cycle below which it is not judged.
-const FEWEST_PERIODS: usize = 10;
+const MIN_PERIODS: usize = 10;
 
 /// Part of a half-cycle that counts, as shares.
 const MIDDLE: std::ops::RangeInclusive<f64> = 0.1..=0.9;
@@ -132,7 +132,7 @@ impl<'a> CaseTruth<'a> {
                 half.add([r_ohm, l_h], [t.r_ohm[0], t.l_h[0]], sigma);
             }
         }
-        halves.retain(|half| half.n >= FEWEST_PERIODS);
+        halves.retain(|half| half.n >= MIN_PERIODS);
         halves
             .iter()
             .map(Sums::errors)

@@ -14,7 +14,7 @@ use serde::Serialize;
 const AFTER_S: f64 = 40.0;
 
 /// Limit of a run in seconds.
-const LONGEST_S: f64 = 600.0;
+const MAX_DURATION_S: f64 = 600.0;
 
 /// Result of the run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -100,7 +100,7 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<ClosedLoopResult> {
         }
         out.duration_s = t_s;
         progress(t_s);
-        if t_s > LONGEST_S || out.boils_s.is_some_and(|boils_s| t_s > boils_s + AFTER_S) {
+        if t_s > MAX_DURATION_S || out.boils_s.is_some_and(|boils_s| t_s > boils_s + AFTER_S) {
             break;
         }
     }

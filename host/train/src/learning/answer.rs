@@ -17,7 +17,7 @@ use super::{Learning, LookupUpdate, judge, network, time_s};
 
 /// Largest age of a window in seconds of device time, against the newest learned one: answers are late and out of order. An older window
 /// may show a pot that has been removed.
-const OLDEST_S: f64 = 30.0;
+const MAX_AGE_S: f64 = 30.0;
 
 /// Identification and verdict of one window, from its samples alone.
 #[derive(Clone, Debug)]
@@ -157,7 +157,7 @@ impl Learning {
         self.sensors = sensors;
         let newest_s = self.map.newest_s();
         if self.boot == Some(boot) && newest_s.is_finite() {
-            if curve.t_s < newest_s - OLDEST_S {
+            if curve.t_s < newest_s - MAX_AGE_S {
                 return Ok(ConfirmedAnswer {
                     confirmed,
                     seen: None,

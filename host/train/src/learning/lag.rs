@@ -17,7 +17,7 @@ const ALL_TAKEN: u32 = 16;
 const ONE_TAKEN_OF: u32 = 8;
 
 /// Longest lag in seconds: three switching periods at 30 kHz. A load that lags more is no function of its current.
-const LONGEST_S: f64 = 100e-6;
+const MAX_LAG_S: f64 = 100e-6;
 
 /// Share of the largest current from which a time counts.
 const MIN_CURRENT_SHARE: f64 = 0.05;
@@ -86,7 +86,7 @@ impl Lag {
         } else {
             0.0
         };
-        lag_s.clamp(0.0, LONGEST_S)
+        lag_s.clamp(0.0, MAX_LAG_S)
     }
 
     /// Returns the amplitudes in ampere, one lag earlier, that R and L belong to at the times of a window.

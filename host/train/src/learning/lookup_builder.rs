@@ -10,7 +10,7 @@ use crate::lookup::BuiltLookup;
 
 /// Longest pause between two offered lookups, in windows, after consecutive refusals by the device: some three minutes at five windows a
 /// second.
-const LONGEST_SILENCE: u32 = 1_024;
+const MAX_SILENCE_WINDOWS: u32 = 1_024;
 
 /// Builder of a device's lookups.
 #[derive(Clone, Debug, Default)]
@@ -48,8 +48,10 @@ impl LookupBuilder {
             self.offered = None;
         }
         self.refusals = self.refusals.saturating_add(1);
-        let pause = 1u32.checked_shl(self.refusals).unwrap_or(LONGEST_SILENCE);
-        self.silence = pause.min(LONGEST_SILENCE);
+        let pause = 1u32
+            .checked_shl(self.refusals)
+            .unwrap_or(MAX_SILENCE_WINDOWS);
+        self.silence = pause.min(MAX_SILENCE_WINDOWS);
     }
 
     /// Forgets everything but the versions, so that no two lookups of a device have the same number.

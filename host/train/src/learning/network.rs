@@ -26,10 +26,10 @@ pub fn fit_window(
 
 /// Lowest current of the curve, in ampere: the network weighs samples with the squared current, so that values below follow from their
 /// neighbours.
-const LOWEST_A: f64 = 1.0;
+const MIN_CURRENT_A: f64 = 1.0;
 
 /// Highest current of the curve, in ampere: twice the lookup's last knot, which no hob reaches. It bounds what a faulty device can report.
-const HIGHEST_A: f64 = 2e-3 * I_MAX_MA as f64;
+const MAX_CURRENT_A: f64 = 2e-3 * I_MAX_MA as f64;
 
 /// Least noise that is assumed, relative to the largest current: the rest of 12-bit quantisation in a period's mean.
 const MIN_NOISE: f64 = 1e-4;
@@ -93,6 +93,6 @@ pub fn curve(
     };
     let shown = (0..trajectory.r_ohm.len())
         .map(point)
-        .filter(|p| (LOWEST_A..=HIGHEST_A).contains(&p.i_a));
+        .filter(|p| (MIN_CURRENT_A..=MAX_CURRENT_A).contains(&p.i_a));
     CurrentCurve::new(segment.f_sw_hz, t_s, shown)
 }

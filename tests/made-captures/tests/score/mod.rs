@@ -17,7 +17,7 @@ pub const METHODS: [Method; 2] = [Method::LeastSquares, Method::Lockin];
 const WRONG_PCT: [f64; 2] = [1.0, 0.7];
 
 /// Fewest periods of a half-cycle's middle that are compared.
-const FEWEST_PERIODS: usize = 20;
+const MIN_PERIODS: usize = 20;
 
 /// Codes that name a cause.
 const CAUSES: [&str; 18] = [
@@ -312,7 +312,7 @@ fn half_cycles(made: &MadeCapture, outcome: &MethodResult, examined: &Examinatio
                 n += 1;
             }
         }
-        if n < FEWEST_PERIODS {
+        if n < MIN_PERIODS {
             continue;
         }
         let pct = sums.map(|s| s / n as f64);

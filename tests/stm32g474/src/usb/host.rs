@@ -21,7 +21,7 @@ const FRAME_US: f64 = 1_000.0;
 /// Duration of a start of frame on the bus.
 const START_US: f64 = 4.0;
 /// Duration of the longest transaction: none begins that would reach into the next frame.
-const LONGEST_US: f64 = 52.0;
+const MAX_TRANSACTION_US: f64 = 52.0;
 /// Polling period of the idle controller.
 const IDLE_US: f64 = 10.0;
 /// Duration of a reset of the bus, and of a device's recovery after it (USB 2.0, 7.1.7.5).
@@ -191,7 +191,7 @@ impl HostController {
             return START_US;
         }
         let left = self.next_frame_us - time;
-        if !attached || left < LONGEST_US {
+        if !attached || left < MAX_TRANSACTION_US {
             return left.min(IDLE_US);
         }
         match self.next_pipe(time) {

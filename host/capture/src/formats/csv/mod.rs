@@ -16,7 +16,7 @@ use ihd_signal::TimeBase;
 
 use self::dialect::{ColumnLayout, TimeColumn};
 use self::prelude::Prelude;
-use self::rows::{LONGEST_LINE, Rows, too_long};
+use self::rows::{MAX_LINE_BYTES, Rows, too_long};
 use super::input::ReadSeek;
 use super::time::{decimal_resolution, time_base};
 use super::{CaptureFile, FileChannel, FileSamples, ReadProgress};
@@ -52,10 +52,10 @@ impl CsvSource {
         let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
         file.seek(SeekFrom::Start(0)).map_err(failed)?;
         let mut head = Vec::new();
-        let mut beginning = (&mut file).take(LONGEST_LINE as u64);
+        let mut beginning = (&mut file).take(MAX_LINE_BYTES as u64);
         beginning.read_to_end(&mut head).map_err(failed)?;
         let has_lines = head.iter().any(|b| matches!(b, b'\n' | b'\r'));
-        if head.len() == LONGEST_LINE && !has_lines {
+        if head.len() == MAX_LINE_BYTES && !has_lines {
             return Err(FormatError::at_line(1, too_long()));
         }
         let prelude = Prelude::read(&head)?;
@@ -197,7 +197,7 @@ mod tests {
         let latin: Vec<u8> = lines.chars().map(|c| c as u8).collect();
         let old_mac = lines.replace('\n', "\r");
         // Long enough that no line end lies in the beginning but CR.
-        let long = format!("{}{}", old_mac, "3,7,8\r".repeat(LONGEST_LINE / 6));
+        let long = format!("{}{}", old_mac, "3,7,8\r".repeat(MAX_LINE_BYTES / 6));
         for text in [latin, old_mac.into_bytes()] {
             assert_eq!(read(text), Ok(expected.clone()));
         }

@@ -7,11 +7,11 @@ use csv::{ByteRecord, Position};
 use crate::error::FormatError;
 
 /// Limit of a line's length in bytes: 10 000 columns of 100 characters.
-pub const LONGEST_LINE: usize = 1 << 20;
+pub const MAX_LINE_BYTES: usize = 1 << 20;
 
 /// Error text for a longer line.
 pub fn too_long() -> String {
-    format!("a line of more than {LONGEST_LINE} bytes: this is no table")
+    format!("a line of more than {MAX_LINE_BYTES} bytes: this is no table")
 }
 
 /// Delimiter and decimal sign.
@@ -237,7 +237,7 @@ impl Rows {
     }
 }
 
-/// Reader that fails on lines longer than [`LONGEST_LINE`].
+/// Reader that fails on lines longer than [`MAX_LINE_BYTES`].
 struct LineLimited {
     source: Box<dyn BufRead>,
     in_line: usize,
@@ -252,7 +252,7 @@ impl Read for LineLimited {
             Some(k) => self.in_line = read - k,
             None => self.in_line += read,
         }
-        if self.in_line > LONGEST_LINE {
+        if self.in_line > MAX_LINE_BYTES {
             return Err(io::Error::new(io::ErrorKind::InvalidData, too_long()));
         }
         Ok(read)

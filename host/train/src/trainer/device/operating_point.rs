@@ -72,7 +72,7 @@ impl Device<'_> {
             f_sw_hz = telemetry.f_sw_hz;
             let power_w = f64::from(telemetry.power_mw) * 1e-3;
             let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
-            let at_limit = f_sw_hz <= pwm::LOWEST_HZ || f_sw_hz >= pwm::HIGHEST_HZ;
+            let at_limit = f_sw_hz <= pwm::MIN_HZ || f_sw_hz >= pwm::MAX_HZ;
             // A power that the load cannot take ends at a limit of frequency or at the resonance margin: steady, but not close.
             if steady >= SETTLED_AFTER && (close || at_limit || steady >= 10 * SETTLED_AFTER) {
                 return Ok((telemetry.half_cycle, asked_w));

@@ -21,7 +21,7 @@ const FULL_SPEED: u32 = 2;
 /// Linux's URB_ZERO_PACKET.
 const ZERO_PACKET: u32 = 0x40;
 /// Longest transfer: more than the kernel requests at once.
-const LONGEST: usize = 1 << 20;
+const MAX_TRANSFER_BYTES: usize = 1 << 20;
 
 /// Request of a client before it imports a device.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -119,7 +119,7 @@ impl Command {
             CMD_SUBMIT => {
                 let (input, length) = (word(3) == 1, word(6) as usize);
                 let goes = if input { 0 } else { length };
-                if length > LONGEST {
+                if length > MAX_TRANSFER_BYTES {
                     return Err(invalid(format!("a transfer of {length} bytes")));
                 }
                 let mut data = vec![0; goes];
