@@ -4,8 +4,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use ihd_link::{Client, ClientCounters, DeviceEvent, KEEPALIVE_PERIOD, LinkError, Window};
+use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::messages::{Fault, Outcome, Pot, State, Telemetry};
+use ihd_shared::wire::messages::{Outcome, Pot, State, Telemetry};
 use ihd_signal::truth::Truth;
 
 use super::{RunProgress, TrainerError};
