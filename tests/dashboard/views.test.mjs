@@ -325,6 +325,25 @@ async function walk(page) {
   }));
 }
 
+test('the device that the hash names stays chosen where the daemon does not know it', async () => {
+  const own = await Fake.start(life);
+  const { page, context, problems } = await open(chromium, address(own.url, 'live', 'nosuch'));
+  const unknown = (name) => page.getByText(`${name} is not known to the daemon`).waitFor();
+  await unknown('nosuch');
+  assert.equal(await page.getByTestId('power-set').count(), 0);
+  await page.goto(address(own.url, 'live'));
+  await page.getByTestId('power-set').waitFor();
+  await own.do('gone', { device: 'desk' });
+  await unknown('desk');
+  assert.deepEqual([await page.getByTestId('power-set').count(), await page.getByTestId('device-chooser').inputValue()], [0, 'desk']);
+  await own.do('gone', { device: null });
+  await page.getByTestId('power-set').waitFor();
+  assert.equal(await page.getByRole('heading', { name: 'Live: desk' }).count(), 1);
+  // A window may have been asked for of the device that went.
+  noProblems(problems, /status of 404/);
+  await context.close();
+});
+
 test('numbers stand in SI units, and what is paused is not stale', async () => {
   // A question that was left by Escape may have switched it off.
   await fake.do('power', { device: 'desk', power_w: 1500 });

@@ -7,6 +7,7 @@
 //     curl -d '{"device":"bench","pot":"none"}' localhost:8799/fake/pot     # also ferritic-21, cast-iron-21, …
 //     curl -d '{"device":"bench","fault":24}' localhost:8799/fake/fault
 //     curl -d '{"device":"bench","connected":false}' localhost:8799/fake/connected
+//     curl -d '{"device":"bench"}' localhost:8799/fake/gone                 # no device of the daemon any more; null: all are back
 //     curl -d '{"device":"bench","power_w":1200}' localhost:8799/fake/power  # as at its panel
 //     curl -d '{"for_s":5}' localhost:8799/fake/die                          # and back after so many seconds
 //     curl -d '{"for_s":5}' localhost:8799/fake/silence                      # connected, and says nothing

@@ -136,6 +136,11 @@ export function mend(daemon, options, what, body) {
     case 'connected':
       Object.assign(hob(), { connected: body.connected, lostMs: Date.now(), connections: hob().connections + 1 });
       return { connected: hob().connected };
+    case 'gone':
+      // As a board on USB that is unplugged; with null they are all back.
+      daemon.all ??= daemon.hobs;
+      daemon.hobs = daemon.all.filter(({ name }) => name !== body.device);
+      return { devices: daemon.hobs.length };
     case 'incompatible':
       hob().incompatible = body.incompatible ?? true;
       return { incompatible: hob().incompatible };
@@ -170,7 +175,7 @@ export function mend(daemon, options, what, body) {
       return { heats, pot: pot?.name ?? stretch.pot, asked_w: stretch.askedW, f_sw_hz: fSw, power_w: power, i_crest_a: i, r_ohm: r, l_h: l };
     }
     default:
-      throw new Refusal(404, 'no-route', 'fake: pot, fault, connected, incompatible, power, words, fleet, slow, events, silence, die, truth');
+      throw new Refusal(404, 'no-route', 'fake: pot, fault, connected, gone, incompatible, power, words, fleet, slow, events, silence, die, truth');
   }
 }
 

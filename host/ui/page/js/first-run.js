@@ -47,7 +47,13 @@ export function firstRun({ announce }) {
   );
 }
 
-/** What a view of one device shows where there is none. @param {HTMLElement} root @param {string} title of the view */
-export function noDevice(root, title) {
-  root.append(h("h1", {}, title), h("p", {}, "No device is there yet. ", h("a", { href: hashOf("devices", "") }, "How to begin")));
+/**
+ * What a view of one device shows where the daemon does not know it.
+ * @param {HTMLElement} root
+ * @param {string} title of the view
+ * @param {string} device empty where there is none at all
+ */
+export function noDevice(root, title, device) {
+  const [says, link] = device ? [`${device} is not known to the daemon. `, "Devices"] : ["No device is there yet. ", "How to begin"];
+  root.append(h("h1", {}, title), h("p", {}, says, h("a", { href: hashOf("devices", "") }, link)));
 }

@@ -41,7 +41,7 @@ export class Header {
       link.setAttribute("href", hashOf(VIEWS[i].name, device));
       setAttribute(link, "aria-current", VIEWS[i].name === view ? "page" : null);
     });
-    if (this.chooser.value !== device) this.chooser.value = device;
+    this.showDevices();
     const known = VIEWS.find((candidate) => candidate.name === view);
     this.title = known ? `${known.label}${known.device && device ? ` ${device}` : ""}` : "ihd";
     this.#showTitle();
@@ -62,12 +62,12 @@ export class Header {
       this.chooser.replaceChildren(...names.map((name) => h("option", { value: name }, name)));
     }
     for (const option of this.chooser.options) {
-      const report = this.parts.fleet.reports.get(option.value);
-      const text = report ? `${option.value} · ${words(report.state)}` : option.value;
+      const report = fleet.reports.get(option.value);
+      const text = `${option.value} · ${report ? words(report.state) : "not known"}`;
       if (option.text !== text) option.text = text;
     }
     this.chooser.hidden = names.length === 0;
-    this.chooser.value = this.parts.device();
+    this.chooser.value = device();
   }
 
   #themeChooser() {

@@ -4,6 +4,7 @@
 import * as api from "./api.js";
 import { ask } from "./dialog.js";
 import { h, setText } from "./dom.js";
+import { noDevice } from "./first-run.js";
 import { Fleet } from "./fleet.js";
 import { Header } from "./header.js";
 import { Leases } from "./leases.js";
@@ -71,7 +72,7 @@ const leases = new Leases(stream, fleet, hob.lease_s);
 const off = new Off({ fleet, stream, leases, alarms, announce });
 
 /** Where the page is. */
-let place = { view: "", device: "" };
+let place = { view: "", device: "", isKnown: false };
 /** @type {{unmount: () => void} | null} */
 let mounted = null;
 let visit = 0;
@@ -106,19 +107,32 @@ stream.on("state", async ({ stale }) => {
   if (back && !(await lookForFleet())) setTimeout(lookForFleet, FLEET_LATER_MS);
 });
 
-/** @param {{view: string, device: string}} wanted */
-async function go(wanted) {
-  const names = fleet.names();
-  const kept = names.includes(place.device) ? place.device : (names[0] ?? "");
-  const device = names.includes(wanted.device) ? wanted.device : kept;
-  if (wanted.view === place.view && device === place.device) return;
-  place = { view: wanted.view, device };
+/** Takes the view away; one that is still being loaded does not come. */
+function unmount() {
   visit += 1;
-  const own = visit;
-  header.showPlace(place.view, device);
   mounted?.unmount();
   mounted = null;
+}
+
+/**
+ * Shows a view. The device that the hash names stays chosen where the daemon does not know it: Set and Off never go to another one.
+ * @param {{view: string, device: string}} wanted
+ */
+async function go(wanted) {
+  const device = wanted.device || place.device || (fleet.names()[0] ?? "");
+  const { label, device: ofDevice } = /** @type {(typeof VIEWS)[number]} */ (VIEWS.find((view) => view.name === wanted.view));
+  const isKnown = !ofDevice || fleet.reports.has(device);
+  if (wanted.view === place.view && device === place.device && isKnown === place.isKnown) return;
+  place = { view: wanted.view, device, isKnown };
+  unmount();
+  const own = visit;
+  header.showPlace(place.view, device);
   const root = h("div", { class: `view view-${place.view}` });
+  if (!isKnown) {
+    noDevice(root, label, device);
+    main.replaceChildren(root);
+    return;
+  }
   try {
     const [module] = await Promise.all([import(`./views/${place.view}.js`), style(place.view)]);
     if (own !== visit) return;
@@ -160,8 +174,8 @@ addEventListener("hashchange", () => {
   go(placeOf(location.hash)).then(() => main.focus({ preventScroll: true }));
 });
 stream.on("devices", () => {
-  // The device that was shown is gone, or the first one has come.
-  if (!fleet.reports.has(place.device) && fleet.reports.size > 0) go(placeOf(location.hash));
+  // The device that is shown came or went, or the first one has come.
+  go(place);
 });
 stream.on("state", async ({ failures }) => {
   // An EventSource does not say why it was refused; the session does.

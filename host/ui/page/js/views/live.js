@@ -2,7 +2,6 @@
 /** One device as on an oscilloscope: numbers, power, the pot's temperature, the last window, the past. */
 
 import { h } from "../dom.js";
-import { noDevice } from "../first-run.js";
 import { Acts } from "../live/acts.js";
 import { Numbers } from "../live/numbers.js";
 import { PotTemperatureView } from "../live/pot-temperature.js";
@@ -16,10 +15,6 @@ import { Trends } from "../live/trends.js";
  * @returns {{unmount: () => void}}
  */
 export function mount(root, context) {
-  if (!context.device) {
-    noDevice(root, "Live");
-    return { unmount: () => {} };
-  }
   const side = h("div", { class: "live-side" });
   const scope = h("section", { class: "live-scope panel", "aria-label": "Last window" });
   const trends = h("section", { class: "live-trends panel", "aria-label": "Minutes and hours" });

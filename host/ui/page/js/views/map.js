@@ -3,7 +3,6 @@
 
 import { mayNot } from "../acting.js";
 import { append, h, setAttribute, setText } from "../dom.js";
-import { noDevice } from "../first-run.js";
 import { dateTime } from "../format.js";
 import { Heatmap } from "../heatmap.js";
 import { Bar, legend } from "../map/bar.js";
@@ -26,10 +25,6 @@ const AGAIN_MS = 4000;
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
-  if (!context.device) {
-    noDevice(root, "Map");
-    return { unmount() {} };
-  }
   const view = new MapView(root, context);
   return { unmount: () => view.unmount() };
 }

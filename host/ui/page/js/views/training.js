@@ -3,7 +3,6 @@
 
 import { append, h, setAttribute, setText } from "../dom.js";
 import { csv, downloadCsv, fileName } from "../export.js";
-import { noDevice } from "../first-run.js";
 import { clock, dateTime, isoUtc, NOTHING, si } from "../format.js";
 import { Newest } from "../newest.js";
 import { Plot } from "../plot.js";
@@ -21,10 +20,6 @@ const AGAIN_MS = 1500;
 
 /** @param {HTMLElement} root @param {Context} context */
 export function mount(root, context) {
-  if (!context.device) {
-    noDevice(root, "Training");
-    return { unmount() {} };
-  }
   const view = new TrainingView(root, context);
   return { unmount: () => view.unmount() };
 }
