@@ -30,6 +30,11 @@ export const LATE_MS = 6500;
  *   | {type: "off"} | {type: "seen"}} LeaseEvent
  */
 
+/** @returns {number} time in milliseconds, the same in page and worker, that goes on evenly when somebody sets the clock */
+export function steady_ms() {
+  return performance.timeOrigin + performance.now();
+}
+
 /** @returns {LeaseState} */
 export function noLease() {
   return { phase: "none", power_w: 0, renewed_ms: 0, why: "" };
@@ -78,7 +83,7 @@ export function step(state, event) {
  */
 function aged(state, silent_ms, lease_ms) {
   if (silent_ms > lease_ms) {
-    return lost(state, "no renewal came through while the lease lasted; the hob has switched itself off");
+    return lost(state, "no renewal came through while the lease lasted; the hob goes off when the lease ends");
   }
   if (silent_ms > LATE_MS) {
     return { ...state, phase: "late", why: "renewals do not come through; the hob goes off when the lease ends" };

@@ -7,7 +7,7 @@
  * worker, and the lease ends by itself, at most 10 s after its last renewal.
  */
 
-import { pageAlive } from "./lease-machine.js";
+import { pageAlive, steady_ms } from "./lease-machine.js";
 
 const RENEW_MS = 3000;
 const PING_MS = 500;
@@ -51,7 +51,7 @@ setInterval(() => {
 async function renew(device, lease) {
   lease.underWay += 1;
   lease.next_ms = performance.now() + RENEW_MS;
-  const asked_ms = Date.now();
+  const asked_ms = steady_ms();
   try {
     const response = await fetch(lease.url, {
       method: "PUT",

@@ -2,7 +2,7 @@
 /** Power that this page asked for: one lease a device, renewed by a worker, given back when the page goes. */
 
 import * as api from "./api.js";
-import { noLease, step } from "./lease-machine.js";
+import { noLease, steady_ms, step } from "./lease-machine.js";
 
 /** A report may be so old, in milliseconds: they come every 2 s. */
 const QUIET_MS = 3000;
@@ -69,18 +69,18 @@ export class Leases {
   async heat(device, body, force = false) {
     const power_w = body.power_w ?? Math.max(...(body.powers_w ?? [0]));
     const turn = this.#turn(device);
-    this.#step(device, { type: "take", power_w, at_ms: Date.now() });
+    this.#step(device, { type: "take", power_w, at_ms: steady_ms() });
     try {
       await api.takeLease(device, force);
       if (this.turns.get(device) !== turn) throw new api.ApiError(0, { error: "off", message: "it was switched off meanwhile" });
       this.#hold(device);
-      const asked_ms = Date.now();
+      const asked_ms = steady_ms();
       const done = await api.command(device, body).finally(() => {
         if (this.turns.get(device) !== turn && !this.heated().includes(device)) this.overtaken(device);
       });
       if (this.turns.get(device) === turn) {
         this.#step(device, { type: "powered", power_w: done.granted_w ?? power_w, asked_w: power_w, at_ms: asked_ms });
-        this.quietUntil_ms.set(device, Date.now() + QUIET_MS);
+        this.quietUntil_ms.set(device, steady_ms() + QUIET_MS);
         if (body.command === "sweep") this.sweeping.add(device);
         else this.sweeping.delete(device);
       }
@@ -201,7 +201,7 @@ export class Leases {
    */
   #reported(report) {
     const held = this.state(report.name).phase === "held";
-    if (!held || Date.now() < (this.quietUntil_ms.get(report.name) ?? 0)) return;
+    if (!held || steady_ms() < (this.quietUntil_ms.get(report.name) ?? 0)) return;
     if (report.asked_by_daemon_w === 0 && report.sweep_left_w.length === 0) {
       if (this.sweeping.has(report.name)) this.#sweepDone(report.name);
       else this.#ended(report.name, "the daemon asks for no power any more: it was switched off, or the daemon was started anew");
@@ -230,7 +230,10 @@ export class Leases {
   }
 
   #tick() {
-    for (const device of this.heated()) this.#step(device, { type: "tick", at_ms: Date.now(), lease_ms: this.lease_ms });
+    for (const device of this.heated()) {
+      this.#step(device, { type: "tick", at_ms: steady_ms(), lease_ms: this.lease_ms });
+      if (this.state(device).phase === "lost") api.releaseLease(device).catch(() => {});
+    }
   }
 
   #workerFailed() {

@@ -3,6 +3,7 @@
 
 import { h, setAttribute, setText } from "../dom.js";
 import { duration } from "../format.js";
+import { steady_ms } from "../lease-machine.js";
 
 /** A slider that is moved with keys sends once it rests, in milliseconds. */
 const REST_MS = 300;
@@ -65,7 +66,7 @@ export class Power {
       return `This page heats ${device} with ${state.power_w} W${most}. It goes off when the page is closed.`;
     }
     if (state.phase === "late") {
-      return `Not renewed for ${duration((Date.now() - state.renewed_ms) / 1000)}: ${state.why}.`;
+      return `Not renewed for ${duration((steady_ms() - state.renewed_ms) / 1000)}: ${state.why}.`;
     }
     if (state.phase === "taking") return "Takes the lease …";
     const other = report?.lease && report.lease.holder !== api.holder() ? `${report.lease.holder} commands it now; you will be asked before it is taken over. ` : "";
