@@ -14,8 +14,8 @@ const SIM = '[[device]]\nname = "inside"\naddress = "sim"\n';
 /** What a browser logs by itself of an answer that refuses. */
 const REFUSED = /status of 40[13]/;
 
-async function withTokens(t) {
-  const daemon = await Daemon.start(t, SIM, { head: 'token_file = "tokens"' });
+async function withTokens(t, devices = SIM) {
+  const daemon = await Daemon.start(t, devices, { head: 'token_file = "tokens"' });
   const lines = (await readFile(join(daemon.folder, 'tokens'), 'utf8')).split('\n').map((line) => line.trim().split(/\s+/));
   const tokens = Object.fromEntries(lines.filter(([role, token]) => token && !role.startsWith('#')));
   return { daemon, tokens };
@@ -48,6 +48,57 @@ test('with a token one gets in, stays in over a reload, and out again', async (t
   await page.getByRole('button', { name: /log out/i }).click();
   await page.getByTestId('token').waitFor();
   assert.equal((await context.cookies()).length, 0);
+  noProblems(problems, REFUSED);
+});
+
+/** Shows the token to a page that asks for it. */
+async function logIn(page, token) {
+  await page.getByTestId('token').fill(token);
+  await page.keyboard.press('Enter');
+  await page.getByTestId('power-input').waitFor();
+}
+
+test('logging out switches off first what all pages of the session heat, and all of them ask for a token', async (t) => {
+  const { daemon, tokens } = await withTokens(t, SIM + SIM.replace('inside', 'other'));
+  const api = new Api(daemon.url, { authorization: `Bearer ${tokens.operate}` });
+  const asked = async () => (await api.get('/devices')).map((device) => device.asked_by_daemon_w);
+  const { page, context, problems } = await open(await browser(t), `${daemon.url}/#/live/inside`);
+  await logIn(page, tokens.operate);
+  const second = await context.newPage();
+  await second.goto(`${daemon.url}/#/live/other`);
+  for (const one of [page, second]) {
+    await one.getByTestId('power-input').fill('700');
+    await one.getByTestId('power-set').click();
+  }
+  await until('both heat', async () => (await asked()).every((w) => w === 700));
+  await page.getByRole('button', { name: /log out/i }).click();
+  await page.getByTestId('token').waitFor();
+  assert.deepEqual(await asked(), [0, 0]);
+  await second.getByTestId('token').waitFor();
+  // The cookie of one is the other's.
+  await logIn(page, tokens.operate);
+  await second.getByTestId('power-input').waitFor();
+  noProblems(problems, REFUSED);
+});
+
+test('Off after the end of the session asks for a token, and is carried out with it', async (t) => {
+  const { daemon, tokens } = await withTokens(t);
+  const api = new Api(daemon.url, { authorization: `Bearer ${tokens.operate}`, 'content-type': 'application/json' });
+  const { page, context, problems } = await open(await browser(t), `${daemon.url}/#/live/inside`);
+  await logIn(page, tokens.operate);
+  assert.equal((await api.command('inside', { command: 'power', power_w: 600 })).status, 200);
+  const [{ name, value }] = await context.cookies();
+  await fetch(`${daemon.url}/api/v1/session`, { method: 'DELETE', headers: { cookie: `${name}=${value}` } });
+  await page.keyboard.press('Escape');
+  const alarm = page.locator('.off-alarm');
+  await alarm.filter({ hasText: 'log in again' }).waitFor();
+  assert.doesNotMatch(await alarm.innerText(), /by itself/);
+  await logIn(page, tokens.operate);
+  // The other client renews: nothing but Off ends it.
+  await until('off', async () => {
+    await api.ask('/devices/inside/lease', { method: 'PUT', body: '{}' });
+    return (await api.device('inside')).asked_by_daemon_w === 0;
+  });
   noProblems(problems, REFUSED);
 });
 

@@ -39,3 +39,8 @@ test("a lease that nothing has renewed for its length is given back", () => {
   pass(10.5);
   assert.deepEqual([leases.state("bench").phase, requests], ["lost", ["DELETE lease"]]);
 });
+
+test("a page that is left waits until its leases are given back", async () => {
+  await leases.releaseAll("you logged out", {});
+  assert.deepEqual([leases.heated(), requests], [[], ["DELETE lease"]]);
+});

@@ -12,6 +12,7 @@ use ihd_model::{DaemonEvent, MissedEvents, Problem};
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
+use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
@@ -23,6 +24,9 @@ const HEARTBEAT: Duration = Duration::from_secs(15);
 
 /// Maximum number of events that wait for the socket; more wait in the event bus, where the oldest are dropped and counted as missed.
 const QUEUE_LENGTH: usize = 16;
+
+/// Period of the check that the client's session was not closed.
+const SESSION_PERIOD: Duration = Duration::from_secs(1);
 
 type EventStream = ReceiverStream<Result<Event, Infallible>>;
 
@@ -53,9 +57,10 @@ pub(super) async fn events(
         tx,
         app: app.clone(),
         stopping: app.stopping.clone(),
+        headers,
         _permit: permit,
     };
-    let greeting = if headers.contains_key("last-event-id") {
+    let greeting = if subscriber.headers.contains_key("last-event-id") {
         "nothing is kept of what happened before; devices and results have it"
     } else {
         "watching"
@@ -79,18 +84,27 @@ pub(super) fn subscriber_permit(app: &App) -> Result<OwnedSemaphorePermit, Error
     })
 }
 
+/// Returns ticks of a period; late ones are not made up for.
+pub(super) fn ticks(every: Duration) -> Interval {
+    let mut ticks = interval(every);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ticks
+}
+
 /// Task behind one event stream.
 struct Subscriber {
     events: broadcast::Receiver<Arc<DaemonEvent>>,
     device: Option<String>,
     tx: mpsc::Sender<Result<Event, Infallible>>,
     app: Arc<App>,
+    /// Of the request: its token or session.
+    headers: HeaderMap,
     stopping: watch::Receiver<bool>,
     _permit: OwnedSemaphorePermit,
 }
 
 impl Subscriber {
-    /// Sends events until the client disconnects or the server ends.
+    /// Sends events until the client disconnects, its session is closed or the server ends. Watching is use of the session.
     async fn run(mut self, greeting: &str) {
         if self
             .tx
@@ -100,9 +114,14 @@ impl Subscriber {
         {
             return;
         }
+        let mut session = ticks(SESSION_PERIOD);
         loop {
             let received = tokio::select! {
                 () = self.tx.closed() => return,
+                _ = session.tick() => match self.app.access.role(&self.headers) {
+                    Some(_) => continue,
+                    None => return,
+                },
                 _ = self.stopping.wait_for(|stopping| *stopping) => return,
                 received = self.events.recv() => received,
             };

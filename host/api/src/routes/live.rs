@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use axum::Extension;
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, Sse};
 use ihd_daemon::LiveTap;
 use ihd_model::{
@@ -20,12 +20,12 @@ use ihd_model::{
 use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::{self, error::RecvError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
-use tokio::time::{Instant, Interval, MissedTickBehavior, interval};
+use tokio::time::Instant;
 use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use super::events::subscriber_permit;
+use super::events::{subscriber_permit, ticks};
 use crate::connection::WriteStall;
 use crate::problem::{ApiQuery, ErrorResponse};
 
@@ -60,7 +60,7 @@ pub(super) struct LiveParameters {
 
 /// Streams live data for a display: `telemetry` (data since the last one; at least once per second, if need be without devices),
 /// `devices` (all reports, after a change and every 2 s), `notice` (all events but telemetry) and `missed`. A slow client receives
-/// fewer, never older events.
+/// fewer, never older events. The stream counts as use of the session, and ends with it.
 #[utoipa::path(get, path = "/live", tag = "daemon", params(LiveParameters),
     responses((status = 200, description = "Server-Sent Events; schema of the event `telemetry`", content_type = "text/event-stream",
             body = LiveTelemetry),
@@ -68,6 +68,7 @@ pub(super) struct LiveParameters {
 pub(super) async fn live(
     State(app): State<Arc<App>>,
     ApiQuery(parameters): ApiQuery<LiveParameters>,
+    headers: HeaderMap,
     stall: Option<Extension<WriteStall>>,
 ) -> Result<Sse<EventStream>, ErrorResponse> {
     let interval_ms = parameters.interval_ms.unwrap_or(DEFAULT_INTERVAL_MS);
@@ -85,6 +86,7 @@ pub(super) async fn live(
         events: app.daemon.watch(),
         stopping: app.stopping.clone(),
         app,
+        headers,
         stall: stall.map(|Extension(stall)| stall),
         every,
         outbox: Outbox::default(),
@@ -137,6 +139,8 @@ struct Subscriber {
     tap: LiveTap,
     events: broadcast::Receiver<Arc<DaemonEvent>>,
     app: Arc<App>,
+    /// Of the request: its token or session.
+    headers: HeaderMap,
     stopping: watch::Receiver<bool>,
     stall: Option<WriteStall>,
     every: Duration,
@@ -146,7 +150,7 @@ struct Subscriber {
 }
 
 impl Subscriber {
-    /// Sends events until the client disconnects or the server ends.
+    /// Sends events until the client disconnects, its session is closed or the server ends. Watching is use of the session.
     async fn run(mut self) {
         let mut telemetry = ticks(self.every);
         let mut silence = ticks(self.every.min(MAX_SILENCE));
@@ -163,7 +167,7 @@ impl Subscriber {
                 },
                 _ = telemetry.tick() => self.outbox.telemetry = true,
                 // Wakes the loop, which then sees that a stalled socket is writable again.
-                _ = silence.tick() => {}
+                _ = silence.tick() => if self.app.access.role(&self.headers).is_none() { return },
                 permit = tx.reserve(), if is_writable && self.is_due() => {
                     let Ok(permit) = permit else { return };
                     if let Some(event) = self.next() {
@@ -246,12 +250,6 @@ fn stable_fields(device: &DeviceReport) -> DeviceReport {
         recording.since_s = 0.0;
     }
     device
-}
-
-fn ticks(every: Duration) -> Interval {
-    let mut ticks = interval(every);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    ticks
 }
 
 fn json(kind: &str, data: &impl Serialize) -> Option<Event> {

@@ -1,6 +1,8 @@
 //! Browser sessions: a token is presented once; the cookie is inaccessible to scripts and other sites.
 
+use std::io::{Read, Write};
 use std::sync::Arc;
+use std::time::Duration;
 
 use ihd_api::access::tokens::Tokens;
 use ihd_model::Role;
@@ -8,7 +10,7 @@ use rustls::crypto::ring;
 use ureq::Agent;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 
-use crate::http::{ask, header, whole};
+use crate::http::{ask, connect, header, whole};
 use crate::rig::Running;
 
 const JSON: &str = "Content-Type: application/json";
@@ -129,6 +131,36 @@ fn forgetting_ends_the_session_and_deletes_the_cookie() {
     let line = format!("POST {SESSION}");
     assert_eq!(ask(server.address, &line, &[JSON, &other], &body).0, 204);
     assert_eq!(status_of(&other), 401);
+}
+
+#[test]
+fn a_stream_is_use_of_its_session_and_ends_with_it() {
+    const HOURS_11: Duration = Duration::from_secs(11 * 3600);
+    for path in ["/api/v1/live", "/api/v1/events"] {
+        let (server, clock) = Running::with_clock_and(|options, dir| {
+            options.token_file = Some(dir.join("tokens"));
+        });
+        let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
+        let cookie = cookie(&server, tokens.at_least(Role::Read).unwrap());
+        let mut stream = connect(server.address);
+        write!(
+            stream,
+            "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n{cookie}\r\n\r\n"
+        )
+        .unwrap();
+        stream.read_exact(&mut [0; 15]).unwrap();
+        for _ in 0..3 {
+            clock.pass(HOURS_11);
+        }
+        let line = format!("DELETE {SESSION}");
+        let get = || ask(server.address, "GET /api/v1/devices", &[&cookie], "").0;
+        assert_eq!(get(), 200, "{path}");
+        assert_eq!(ask(server.address, &line, &[&cookie], "").0, 204);
+        assert_eq!(get(), 401);
+        clock.pass(Duration::from_secs(1));
+        // Returns at the end of the stream.
+        stream.read_to_end(&mut Vec::new()).unwrap();
+    }
 }
 
 #[test]

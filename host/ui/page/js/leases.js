@@ -31,7 +31,7 @@ export class Leases {
     this.worker.addEventListener("error", () => this.#workerFailed());
     stream.on("notice", (notice) => this.#notice(notice));
     stream.on("devices", (reports) => reports.forEach((/** @type {any} */ report) => this.#reported(report)));
-    addEventListener("pagehide", () => this.#releaseAll());
+    addEventListener("pagehide", () => this.releaseAll("the page was left", { keepalive: true }));
     setInterval(() => this.#tick(), 500);
   }
 
@@ -243,11 +243,16 @@ export class Leases {
     }
   }
 
-  /** The page goes, or is put aside: what it heats goes off at once. */
-  #releaseAll() {
-    for (const device of this.heated()) {
-      api.releaseLease(device, { keepalive: true }).catch(() => {});
-      this.#step(device, { type: "ended", why: "the page was left" });
-    }
+  /**
+   * What this page heats goes off at once: it is left or put aside, or its session ends.
+   * @param {string} why
+   * @param {import("./api.js").RequestOptions} options
+   */
+  async releaseAll(why, options) {
+    await Promise.all(this.heated().map((device) => {
+      if (this.state(device).phase === "taking") this.forget(device);
+      this.#step(device, { type: "ended", why });
+      return api.releaseLease(device, options).catch(() => {});
+    }));
   }
 }

@@ -14,7 +14,7 @@ import { hashOf, placeOf, VIEWS } from "./router.js";
 import { isShared } from "./shared-stream.js";
 import { StoreBanner } from "./store-banner.js";
 import { Stream } from "./stream.js";
-import { MAX_STREAMS, Tabs } from "./tabs.js";
+import { LEAVE_MS, MAX_STREAMS, Tabs } from "./tabs.js";
 import { Theme } from "./theme.js";
 
 /** Between two intervals of the live stream, in milliseconds. */
@@ -69,7 +69,7 @@ const stream = new Stream(api.address(`live?interval_ms=${LIVE_MS}`), { clock: a
 const fleet = new Fleet(stream);
 fleet.setReports(reports);
 const leases = new Leases(stream, fleet, hob.lease_s);
-const off = new Off({ fleet, stream, leases, alarms, announce });
+const off = new Off({ fleet, stream, leases, alarms, announce, logIn });
 
 /** Where the page is. */
 let place = { view: "", device: "", isKnown: false };
@@ -88,7 +88,7 @@ const header = new Header(
       if (known?.device) location.hash = hashOf(place.view, device);
       else go({ view: place.view, device });
     },
-    logout: session.token_needed ? () => logout().finally(() => location.reload()) : null,
+    logout: session.token_needed ? leave : null,
   },
 );
 
@@ -107,6 +107,32 @@ stream.on("state", async ({ stale }) => {
   if (back && !(await lookForFleet())) setTimeout(lookForFleet, FLEET_LATER_MS);
 });
 
+/** Logs out: first the hobs go off that the pages of this session heat. */
+async function leave() {
+  await Promise.all([leases.releaseAll("you logged out", { timeoutMs: LEAVE_MS }), tabs.leave()]);
+  await logout().catch(() => {});
+  location.reload();
+}
+
+let logsIn = false;
+
+/** The session has ended: asks for a token in place of the view, here or on another page. The header and what Off tells stay. */
+async function logIn() {
+  if (logsIn) return;
+  logsIn = true;
+  unmount();
+  const heard = new Promise((/** @type {(value: void) => void} */ resolve) => {
+    const end = stream.on("state", ({ stale, failures }) => !stale && failures === 0 && resolve(end()));
+  });
+  await Promise.race([login(main), heard]);
+  Object.assign(session, await readSession().catch(() => null));
+  logsIn = false;
+  place = { ...place, view: "" };
+  stream.rest();
+  stream.wake();
+  go(placeOf(location.hash));
+}
+
 /** Takes the view away; one that is still being loaded does not come. */
 function unmount() {
   visit += 1;
@@ -119,6 +145,7 @@ function unmount() {
  * @param {{view: string, device: string}} wanted
  */
 async function go(wanted) {
+  if (logsIn) return;
   const device = wanted.device || place.device || (fleet.names()[0] ?? "");
   const { label, device: ofDevice } = /** @type {(typeof VIEWS)[number]} */ (VIEWS.find((view) => view.name === wanted.view));
   const isKnown = !ofDevice || fleet.reports.has(device);
@@ -179,7 +206,7 @@ stream.on("devices", () => {
 });
 stream.on("state", async ({ failures }) => {
   // An EventSource does not say why it was refused; the session does.
-  if (failures % 4 === 2 && (await readSession().catch(() => undefined)) === null) location.reload();
+  if (failures % 4 === 2 && (await readSession().catch(() => undefined)) === null) logIn();
 });
 // Power that was on its way when Off was pressed may have come after it.
 leases.overtaken = (/** @type {string} */ device) => off.only(device);
@@ -197,7 +224,7 @@ stream.on("notice", (notice) => {
 });
 
 // Without a stream for all, a hidden page that heats nothing gives its connection to others where there are many.
-const tabs = new Tabs(settle);
+const tabs = new Tabs(settle, () => leases.releaseAll("you logged out on another page", { timeoutMs: LEAVE_MS }));
 function settle() {
   if (!isShared() && document.hidden && leases.heated().length === 0 && tabs.count() > MAX_STREAMS) stream.rest();
   else stream.wake();

@@ -18,7 +18,7 @@ const DONE_MS = 4000;
 export class Off {
   /**
    * @param {{fleet: import("./fleet.js").Fleet, stream: import("./stream.js").Stream,
-   *   leases: import("./leases.js").Leases, alarms: HTMLElement, announce: (text: string) => void}} parts
+   *   leases: import("./leases.js").Leases, alarms: HTMLElement, announce: (text: string) => void, logIn: () => void}} parts `logIn` asks for a token
    */
   constructor(parts) {
     this.parts = parts;
@@ -82,7 +82,10 @@ export class Off {
           this.#failed(device, row, problem.message);
           return;
         }
-        setText(why, `— not acknowledged: ${problem.message}. The hob goes off by itself 10 s after it last heard of the host; if it does not, use its own switch.`);
+        if (problem.status === 401) {
+          this.parts.logIn();
+          setText(why, "— the session has ended: log in again, or use the hob's own switch.");
+        } else setText(why, `— not acknowledged: ${problem.message}. The hob goes off by itself 10 s after it last heard of the host; if it does not, use its own switch.`);
         setText(count, `Try ${work.tries}, for ${duration((performance.now() - work.began_ms) / 1000)}.`);
       }
       await new Promise((wake) => setTimeout(wake, Math.min(MAX_WAIT_MS, FIRST_WAIT_MS * 1.5 ** work.tries)));

@@ -1,8 +1,9 @@
 // @ts-check
 /**
- * How many pages of this daemon the browser has open, for one without shared workers.
+ * The other pages of this daemon in the browser: they hear when one of them logs out, as the session is theirs too; and their number, for a
+ * browser without shared workers.
  *
- * There each page has an event stream of its own, and a browser opens six connections to a host over HTTP/1.1: with six pages open,
+ * In such a one each page has an event stream of its own, and a browser opens six connections to a host over HTTP/1.1: with six pages open,
  * none could say Off. So hidden pages that heat nothing let theirs go where there are several.
  */
 
@@ -13,9 +14,18 @@ const FORGET_MS = 150_000;
 /** So many pages may hold their stream while hidden. */
 export const MAX_STREAMS = 3;
 
+/** The longest wait for the others to give up what they heat, in milliseconds. */
+export const LEAVE_MS = 2000;
+
 export class Tabs {
-  /** @param {() => void} changed called when pages come and go */
-  constructor(changed) {
+  /**
+   * @param {() => void} changed called when pages come and go
+   * @param {() => Promise<void>} giveUp ends what this page heats, as another one is about to end the session
+   */
+  constructor(changed, giveUp) {
+    /** Others that have yet to give up what they heat. @type {Set<string>} */
+    this.awaited = new Set();
+    this.giveUp = giveUp;
     this.own = crypto.getRandomValues(new Uint32Array(2)).join("-");
     /** Others, and when each was heard last. @type {Map<string, number>} */
     this.others = new Map();
@@ -35,17 +45,38 @@ export class Tabs {
     return this.others.size + 1;
   }
 
+  /** Has the other pages give up what they heat: resolves when they have, at the latest after {@link LEAVE_MS}. */
+  leave() {
+    this.awaited = new Set(this.others.keys());
+    this.channel.postMessage({ id: this.own, leaves: true });
+    return new Promise((/** @type {(value: void) => void} */ resolve) => {
+      this.allGaveUp = resolve;
+      this.#gaveUp("");
+      setTimeout(resolve, LEAVE_MS);
+    });
+  }
+
+  /** @param {string} id */
+  #gaveUp(id) {
+    this.awaited.delete(id);
+    if (this.awaited.size === 0) this.allGaveUp();
+  }
+
+  allGaveUp = () => {};
+
   /** @param {boolean} asks whether the others are to answer */
   #say(asks) {
     this.channel.postMessage({ id: this.own, asks });
   }
 
-  /** @param {{id: string, gone?: boolean, asks?: boolean}} told */
+  /** @param {{id: string, gone?: boolean, asks?: boolean, leaves?: boolean, gaveUp?: boolean}} told */
   #heard(told) {
     const before = this.others.size;
     if (told.gone) this.others.delete(told.id);
     else this.others.set(told.id, performance.now());
     if (told.asks) this.#say(false);
+    if (told.leaves) this.giveUp().then(() => this.channel.postMessage({ id: this.own, gaveUp: true }));
+    if (told.gaveUp || told.gone) this.#gaveUp(told.id);
     if (this.others.size !== before) this.changed();
   }
 }
