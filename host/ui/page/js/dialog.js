@@ -25,7 +25,10 @@ export function ask(question) {
       resolve(value);
     };
     const key = (/** @type {KeyboardEvent} */ event) => {
-      if (event.key === "Escape") close(null);
+      if (event.key !== "Escape") return;
+      // It is none of Off's.
+      event.preventDefault();
+      close(null);
     };
     const buttons = question.answers.map((answer) =>
       h("button", { type: "button", class: answer.danger ? "danger" : "strong", data: { answer: answer.value }, on: { click: () => close(answer.value) } }, answer.label));

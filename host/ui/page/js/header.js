@@ -56,7 +56,9 @@ export class Header {
 
   /** Lists the devices with their states; without one there is nothing to choose. */
   showDevices() {
-    const names = this.parts.fleet.names();
+    const { fleet, device } = this.parts;
+    // The chosen one stays where the daemon does not know it.
+    const names = [...new Set([...fleet.names(), device()])].filter(Boolean);
     const known = [...this.chooser.options].map((option) => option.value);
     if (names.join("\n") !== known.join("\n")) {
       this.chooser.replaceChildren(...names.map((name) => h("option", { value: name }, name)));
@@ -105,7 +107,12 @@ export class Header {
       setText(this.missed, `${missed} events missed`);
     });
     addEventListener("keydown", (event) => {
-      if (event.key === "Escape" && !event.defaultPrevented) this.parts.off.press(this.parts.device());
+      if (event.key !== "Escape" || event.defaultPrevented) return;
+      const box = event.target;
+      if (box instanceof HTMLInputElement && box.type === "search" && box.value) {
+        box.value = "";
+        box.dispatchEvent(new Event("input"));
+      } else this.parts.off.press(this.parts.device());
     });
   }
 

@@ -16,8 +16,10 @@ export class Power {
   constructor(root, context) {
     this.context = context;
     const most = context.hob.rated_power_w;
+    const { phase, power_w, asked_w = power_w } = context.leases.state(context.device);
+    const power = phase === "held" || phase === "late" ? asked_w : Math.round(most / 2 / 50) * 50;
     const input = { min: "0", step: "10" };
-    this.input = h("input", { ...input, max: String(context.hob.requested_power_max_w), id: "power", type: "number", inputmode: "numeric", "aria-describedby": "power-says", data: { testid: "power-input" }, value: String(Math.round(most / 2 / 50) * 50),
+    this.input = h("input", { ...input, max: String(context.hob.requested_power_max_w), id: "power", type: "number", inputmode: "numeric", "aria-describedby": "power-says", data: { testid: "power-input" }, value: String(power),
       on: { input: () => this.#copy(this.input, this.slider), keydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && this.#set() } });
     this.slider = h("input", { ...input, max: String(most), step: "50", type: "range", "aria-label": "Power in watt", data: { testid: "power-slider" }, value: this.input.value,
       on: { input: () => this.#copy(this.slider, this.input), change: () => this.#rest() } });
