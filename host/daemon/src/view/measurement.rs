@@ -7,6 +7,7 @@ use std::f64::consts::TAU;
 
 use ihd_model::ScopeMeasurement;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
+use ihd_train::learning::anti_alias_loss;
 
 /// Number of pairs in a block.
 const BLOCK: usize = ADC_LOCK_P;
@@ -102,8 +103,9 @@ impl Distortion {
 }
 
 /// Measures voltage and current of a view, sampled at the ADC's rate. A view of less than three switching
-/// periods holds no whole block: only its peaks are measured.
-pub fn measure(v_v: &[f64], i_a: &[f64]) -> ScopeMeasurement {
+/// periods holds no whole block: only its peaks are measured. Effective values and power are those before the anti-alias filters,
+/// like the device's own power; peaks are those of the samples.
+pub fn measure(v_v: &[f64], i_a: &[f64], f_sw_hz: f64) -> ScopeMeasurement {
     let peak = |x: &[f64]| {
         let largest = x.iter().fold(0.0, |a: f64, x| a.max(x.abs()));
         (!x.is_empty()).then_some(largest)
@@ -136,9 +138,10 @@ pub fn measure(v_v: &[f64], i_a: &[f64]) -> ScopeMeasurement {
         i_distortion.add(&i);
     }
     let power_factor = power_w / (v_rms_v * i_rms_a);
-    measurement.v_rms_v = Some(v_rms_v);
-    measurement.i_rms_a = Some(i_rms_a);
-    measurement.power_w = Some(power_w);
+    let loss = anti_alias_loss(f_sw_hz);
+    measurement.v_rms_v = Some(loss * v_rms_v);
+    measurement.i_rms_a = Some(loss * i_rms_a);
+    measurement.power_w = Some(loss * loss * power_w);
     measurement.power_factor = power_factor.is_finite().then_some(power_factor);
     let has_phase = across.magnitude() > 0.0;
     measurement.phase_deg = has_phase.then(|| across.im.atan2(across.re).to_degrees());
@@ -149,6 +152,8 @@ pub fn measure(v_v: &[f64], i_a: &[f64]) -> ScopeMeasurement {
 
 #[cfg(test)]
 mod tests {
+    use ihd_shared::sampling::ANTI_ALIAS_HZ;
+
     use super::*;
 
     /// Returns `n` samples of a sum of (order, amplitude, phase in degree).
@@ -177,7 +182,7 @@ mod tests {
         // 325 V, and 20 A that lag by 60 degree, with an arbitrary initial phase and an incomplete last block.
         let v = wave(61 * 20 + 17, &[(1.0, 325.0, 23.0)], |_| 1.0);
         let i = wave(61 * 20 + 17, &[(1.0, 20.0, 23.0 - 60.0)], |_| 1.0);
-        let m = measure(&v, &i);
+        let m = measure(&v, &i, 0.0);
         assert_eq!(m.periods, 60);
         near(m.v_rms_v, 325.0 / 2f64.sqrt(), 1e-12);
         near(m.i_rms_a, 20.0 / 2f64.sqrt(), 1e-12);
@@ -186,6 +191,19 @@ mod tests {
         near(m.phase_deg, 60.0, 1e-12);
         near(m.v_peak_v, 325.0, 0.02);
         assert!(m.thd_v_pct.unwrap() < 1e-9 && m.thd_i_pct.unwrap() < 1e-9);
+        // At 100 kHz filters of 500 kHz leave 1/√(1 + 0.2²) of each.
+        let filtered = measure(&v, &i, 0.2 * f64::from(ANTI_ALIAS_HZ));
+        near(
+            filtered.v_rms_v,
+            1.04f64.sqrt() * 325.0 / 2f64.sqrt(),
+            1e-12,
+        );
+        near(filtered.i_rms_a, 1.04f64.sqrt() * 20.0 / 2f64.sqrt(), 1e-12);
+        near(filtered.power_w, 1.04 * 325.0 * 20.0 / 2.0 * 0.5, 1e-12);
+        assert_eq!(
+            (filtered.v_peak_v, filtered.phase_deg),
+            (m.v_peak_v, m.phase_deg)
+        );
     }
 
     #[test]
@@ -196,7 +214,7 @@ mod tests {
             .to_vec();
         let v = wave(6_100, &square, |_| 1.0);
         let i = wave(6_100, &[(1.0, 10.0, -120.0), (3.0, 3.0, 77.0)], |_| 1.0);
-        let m = measure(&v, &i);
+        let m = measure(&v, &i, 0.0);
         let thd = [3.0, 5.0, 7.0, 9.0]
             .map(|n: f64| n.powi(-2))
             .iter()
@@ -214,7 +232,7 @@ mod tests {
         // The tenth is the highest below half the sampling rate of 61/3.
         assert_eq!(MAX_HARMONIC, 10);
         let tenth = wave(610, &[(1.0, 1.0, 0.0), (10.0, 0.1, 40.0)], |_| 1.0);
-        near(measure(&tenth, &tenth).thd_v_pct, 10.0, 1e-9);
+        near(measure(&tenth, &tenth, 0.0).thd_v_pct, 10.0, 1e-9);
     }
 
     #[test]
@@ -222,7 +240,7 @@ mod tests {
         let half_sine = |x: f64| (std::f64::consts::PI * x).sin();
         let v = wave(61 * 150, &[(1.0, 325.0, 0.0), (3.0, 65.0, 10.0)], half_sine);
         let i = wave(61 * 150, &[(1.0, 40.0, -75.0)], half_sine);
-        let m = measure(&v, &i);
+        let m = measure(&v, &i, 0.0);
         // The mean of the squared half-sine is 1/2; the change of the envelope within three periods has little effect.
         near(
             m.power_w,
@@ -247,14 +265,14 @@ mod tests {
         };
         let clean = wave(61 * 150, &[(1.0, 10.0, 0.0)], |_| 1.0);
         let v: Vec<f64> = clean.iter().map(|x| x + 0.35 * noise()).collect();
-        let m = measure(&v, &v);
+        let m = measure(&v, &v, 0.0);
         // Nine harmonics of white noise of 0.1 rms, averaged over 150 blocks: some 0.1 %.
         assert!(m.thd_v_pct.unwrap() < 0.2, "{:?}", m.thd_v_pct);
-        let few = measure(&v[..60], &v[..60]);
+        let few = measure(&v[..60], &v[..60], 0.0);
         assert_eq!((few.periods, few.power_w, few.thd_v_pct), (0, None, None));
         assert!(few.v_peak_v.is_some());
-        assert_eq!(measure(&[], &[]), ScopeMeasurement::default());
-        let silent = measure(&[0.0; 122], &[0.0; 122]);
+        assert_eq!(measure(&[], &[], 0.0), ScopeMeasurement::default());
+        let silent = measure(&[0.0; 122], &[0.0; 122], 0.0);
         assert_eq!((silent.v_rms_v, silent.power_factor), (Some(0.0), None));
         assert_eq!((silent.phase_deg, silent.thd_i_pct), (None, None));
     }

@@ -97,7 +97,7 @@ fn scope(
         saturated: u32::from(window.saturated),
         from_s: first as f64 * dt_s,
         to_s: end as f64 * dt_s,
-        measured: measure(v_v, i_a),
+        measured: measure(v_v, i_a, f64::from(window.f_sw_hz)),
         ekf: ekf(window),
         ..Scope::default()
     };

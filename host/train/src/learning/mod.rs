@@ -38,7 +38,7 @@ use crate::lookup::BuiltLookup;
 pub use self::answer::{AnswerError, ConfirmedAnswer, WindowAnalysis, analyse_window};
 pub use self::gate::judge;
 pub use self::network::{LoadTrajectory, curve, fit_window};
-pub use self::sensors::{SELF_CALIBRATED, SensorEvidence, Sensors, unfiltered};
+pub use self::sensors::{SELF_CALIBRATED, SensorEvidence, Sensors, anti_alias_loss, unfiltered};
 pub use self::significance::Contradiction;
 pub use self::state::StateError;
 

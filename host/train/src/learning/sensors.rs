@@ -147,10 +147,15 @@ fn applied(segment: &Segment, correction: Option<&Correction>) -> Segment {
     correction.map_or_else(|| segment.clone(), |c| c.applied(segment))
 }
 
-/// Returns a window with both channels scaled to before the anti-alias filters, of which the fundamental loses 1 % at 70 kHz. R
-/// and L do not change; the current to which they belong does.
+/// Returns the fundamental's amplitude before the anti-alias filters over the one after them: 1.01 at 70 kHz.
+pub fn anti_alias_loss(f_sw_hz: f64) -> f64 {
+    f64::hypot(1.0, f_sw_hz / f64::from(ANTI_ALIAS_HZ))
+}
+
+/// Returns a window with both channels scaled to before the anti-alias filters. R and L do not change; the current to which they
+/// belong does.
 pub fn unfiltered(segment: Segment) -> Segment {
-    let loss = f64::hypot(1.0, segment.f_sw_hz / f64::from(ANTI_ALIAS_HZ));
+    let loss = anti_alias_loss(segment.f_sw_hz);
     let scaled = |x: &[f64]| x.iter().map(|x| x * loss).collect();
     Segment {
         v_v: scaled(&segment.v_v),
