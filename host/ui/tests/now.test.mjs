@@ -64,6 +64,21 @@ test("results that come out of order leave the newest window's", () => {
   assert.equal(now().r_ohm, 3.4);
 });
 
+test("a clock that is set back leaves nothing of before it, nor does the store", () => {
+  window(1);
+  result(1, 50_000, 3.7);
+  clock_ms -= 3_600_000;
+  heat(50_000);
+  assert.equal(now().source, "device");
+  // As the store has it after a reload.
+  window(1, T0);
+  result(1, 50_000, 3.7);
+  assert.equal(now().source, "device");
+  window(2);
+  result(2, 50_000, 3.6);
+  assert.deepEqual([now().source, now().r_ohm], ["network", 3.6]);
+});
+
 test("one that the gate refused is not told, and the times of windows are few", () => {
   window(1);
   tell("notice", { event: "result-stored", device: "bench", boot: 1, seq: 1, f_sw_hz: 50_000, r_ohm: 1, l_h: 1e-6, pass: false, at_ms: clock_ms });

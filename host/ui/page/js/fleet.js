@@ -7,6 +7,8 @@ import { heats } from "./telemetry.js";
 export const RESULT_LASTS_MS = 10_000;
 /** How far, as a share, the frequency of now may be from the window's: R grows about as the frequency does. */
 export const SAME_FREQUENCY = 0.01;
+/** A window may be ahead of the clock that the last telemetry told by so much, in milliseconds. */
+const AHEAD_MS = 1000;
 /** Windows of a device whose times are kept: more than ten seconds of them. */
 const WINDOWS_KEPT = 128;
 
@@ -32,10 +34,15 @@ export class Fleet {
     this.heard_ms = new Map();
     /** The result of the newest window that the gate let pass. @type {Map<string, Result & {taken_ms: number}>} */
     this.results = new Map();
+    /** Time of the last telemetry. */
+    this.at_ms = 0;
     /** When the last windows of each were stored, by boot and number. @type {Map<string, Map<string, number>>} */
     this.windows = new Map();
     stream.on("devices", (reports) => this.setReports(reports));
     stream.on("telemetry", (event) => {
+      // The daemon's clock was set back: times of before are none of now.
+      if (event.at_ms < this.at_ms) for (const map of [this.results, this.windows]) map.clear();
+      this.at_ms = event.at_ms;
       for (const [name, one] of Object.entries(event.devices)) {
         if (!this.reports.has(name) && this.reports.size > 0) continue;
         this.telemetry.set(name, one);
@@ -82,13 +89,14 @@ export class Fleet {
   }
 
   /**
-   * A result. It is as old as its window, however late it came; a window that was never heard of is too old to tell of now.
+   * A result. It is as old as its window, however late it came; a window that was never heard of is too old to tell of now, and one that
+   * lies ahead is of before the clock was set back.
    * @param {string} name
    * @param {Result} result
    */
   addResult(name, result) {
     const taken_ms = this.windows.get(name)?.get(`${result.boot}/${result.seq}`);
-    if (!result.pass || taken_ms === undefined) return;
+    if (!result.pass || taken_ms === undefined || taken_ms > this.stream.daemonNow_ms() + AHEAD_MS) return;
     const known = this.results.get(name);
     if (!known || known.taken_ms <= taken_ms) this.results.set(name, { ...result, taken_ms });
   }

@@ -44,6 +44,8 @@ export class Trends {
     this.length = LENGTHS.find((one) => String(one.seconds) === sessionStorage.getItem(KEY)) ?? LENGTHS[1];
     /** @type {{from: number, to: number} | null} what a person zoomed to, in seconds since 1970; null: it follows */
     this.view = null;
+    /** Time of the last telemetry: the daemon's clock, which a past is asked for by. */
+    this.at_ms = context.stream.lastAt_ms || Infinity;
     this.drawn_ms = 0;
     this.read_ms = 0;
     this.paused = false;
@@ -61,7 +63,7 @@ export class Trends {
       context.stream.on("gap", () => this.#ask()),
       context.stream.frame("telemetry", () => this.#drawSoon()),
     ];
-    this.#ask();
+    if (context.stream.lastAt_ms) this.#ask();
   }
 
   /** Ends it. */
@@ -141,6 +143,12 @@ export class Trends {
 
   /** @param {import("../telemetry.js").Telemetry} event */
   #telemetry(event) {
+    // The first one, or the clock was set back: what lies in its future goes.
+    if (event.at_ms < this.at_ms) {
+      this.columns.clear();
+      this.#ask();
+    }
+    this.at_ms = event.at_ms;
     const one = event.devices[this.context.device];
     if (!one || this.view) return;
     if (this.asking && this.meanwhile.length < MAX_MEANWHILE) this.meanwhile.push([event.at_ms, one]);
