@@ -44,6 +44,11 @@ test("a live notice gives way to its entry of the journal, one for one", () => {
   assert.equal(withNewest(list, [...page, entry(3990, "4: over current", { kind: "fault" })]).filter((e) => e.live).length, 1);
 });
 
+test("a live notice of a device that never connected gives way to the entry that has its name in the text", () => {
+  const told = [{ ...entry(5000, "no answer", { device: "ghost", kind: "state" }), live: true }];
+  assert.equal(withNewest(told, [entry(5001, "ghost: searching: no answer", { device: "", kind: "state" })]).length, 1);
+});
+
 test("of another device or kind, or long before, an entry stands for no notice", () => {
   const told = [{ ...entry(5000), live: true }];
   for (const other of [entry(5000, "x", { device: "desk" }), entry(5000, "x", { kind: "off" }), entry(1000)]) {

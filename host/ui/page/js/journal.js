@@ -75,7 +75,8 @@ export function fromNotice(notice) {
 
 /**
  * The list with a page that was read again from its newest end. A live entry goes where the journal has it, by device
- * and kind within three seconds; each journal entry stands for one of them.
+ * and kind within three seconds; each journal entry stands for one of them. Of a device that never connected the journal has the name
+ * in the text alone.
  * @param {Entry[]} list newest first
  * @param {Entry[]} page newest first
  * @returns {Entry[]} newest first
@@ -87,7 +88,7 @@ export function withNewest(list, page) {
   const live = list.filter((entry) => {
     if (!entry.live) return false;
     const at = free.findIndex(
-      (told) => told.device === entry.device && told.kind === entry.kind && Math.abs(told.at_ms - entry.at_ms) <= SAME_MS,
+      (told) => (told.device === entry.device || (told.device === "" && told.text.startsWith(`${entry.device}: `))) && told.kind === entry.kind && Math.abs(told.at_ms - entry.at_ms) <= SAME_MS,
     );
     if (at >= 0) free.splice(at, 1);
     return at < 0;
