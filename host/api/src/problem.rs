@@ -2,7 +2,7 @@
 
 use axum::Json;
 use axum::extract::rejection::{JsonRejection, QueryRejection};
-use axum::extract::{FromRequest, FromRequestParts, Query, Request};
+use axum::extract::{FromRequest, FromRequestParts, Path, Query, Request};
 use axum::http::StatusCode;
 use axum::http::request::Parts;
 use axum::response::{IntoResponse, Response};
@@ -81,6 +81,23 @@ fn body_problem(rejection: &JsonRejection) -> ErrorResponse {
         _ => "body",
     };
     ErrorResponse::new(status, error, rejection.body_text())
+}
+
+/// Name in the path.
+pub(crate) struct PathName(pub(crate) String);
+
+impl<S: Send + Sync> FromRequestParts<S> for PathName {
+    type Rejection = ErrorResponse;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ErrorResponse> {
+        match Path::<String>::from_request_parts(parts, state).await {
+            Ok(Path(name)) => Ok(Self(name)),
+            Err(rejection) => {
+                let text = rejection.body_text();
+                Err(ErrorResponse::new(rejection.status(), "path", text))
+            }
+        }
+    }
 }
 
 /// Query parameters.

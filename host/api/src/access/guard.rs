@@ -156,7 +156,7 @@ pub(crate) async fn check_role(
 
 /// Returns the role that a request requires: read for `GET` and `HEAD`, else operate. `None` for requests that need no token: `/healthz`,
 /// for service managers; the page, which asks for the token; opening and closing a session.
-fn required_role(method: &Method, path: &str) -> Option<Role> {
+pub(crate) fn required_role(method: &Method, path: &str) -> Option<Role> {
     let reads = matches!(*method, Method::GET | Method::HEAD);
     let opens_or_closes = matches!(*method, Method::POST | Method::DELETE);
     match path {

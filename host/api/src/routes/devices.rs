@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use ihd_model::{
     Command, CommandReply, DeviceReport, Lease, LeaseRequest, Problem, StoredLookup, StoredResult,
@@ -13,7 +13,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::problem::{ApiQuery, ErrorResponse, Holder, JsonBody};
+use crate::problem::{ApiQuery, ErrorResponse, Holder, JsonBody, PathName};
 
 /// Default number of results in a response.
 const DEFAULT_LIMIT: u32 = 100;
@@ -34,7 +34,7 @@ pub(super) async fn all(State(app): State<Arc<App>>) -> Json<Vec<DeviceReport>> 
     responses((status = 200, body = DeviceReport), (status = 404, body = Problem)))]
 pub(super) async fn one(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
 ) -> Result<Json<DeviceReport>, ErrorResponse> {
     let device = app.daemon.view().device(&name);
     device
@@ -48,7 +48,7 @@ pub(super) async fn one(
     responses((status = 200, body = [StoredLookup]), (status = 404, body = Problem)))]
 pub(super) async fn lookups(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
 ) -> Result<Json<Vec<StoredLookup>>, ErrorResponse> {
     let rows = app.daemon.view().lookups(&name).await?;
     Ok(Json(rows.into_iter().rev().map(stored_lookup).collect()))
@@ -72,7 +72,7 @@ pub(super) struct ResultParameters {
         (status = 404, body = Problem)))]
 pub(super) async fn results(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<ResultParameters>,
 ) -> Result<Json<Vec<StoredResult>>, ErrorResponse> {
     let limit = parameters.limit.unwrap_or(DEFAULT_LIMIT);
@@ -136,7 +136,7 @@ fn stored_lookup(row: LookupRow) -> StoredLookup {
         (status = 503, description = "The device is not connected", body = Problem)))]
 pub(super) async fn command(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     Holder(holder): Holder,
     JsonBody(command): JsonBody<Command>,
 ) -> Result<Json<CommandReply>, ErrorResponse> {
@@ -152,7 +152,7 @@ pub(super) async fn command(
         (status = 423, description = "Another client has the lease", body = Problem)))]
 pub(super) async fn take_lease(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     Holder(holder): Holder,
     JsonBody(request): JsonBody<LeaseRequest>,
 ) -> Result<Json<Lease>, ErrorResponse> {
@@ -167,7 +167,7 @@ pub(super) async fn take_lease(
     responses((status = 204), (status = 404, body = Problem), (status = 423, body = Problem)))]
 pub(super) async fn release_lease(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     Holder(holder): Holder,
 ) -> Result<StatusCode, ErrorResponse> {
     app.daemon.release_lease(&name, &holder).await?;

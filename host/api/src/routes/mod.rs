@@ -1,5 +1,6 @@
 //! Routes, and the checks in front of them.
 
+mod common_responses;
 mod devices;
 mod events;
 mod fleet;
@@ -109,6 +110,7 @@ pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
         .split_for_parts();
     // The derive macro takes contact from the crate's authors.
     openapi.info.contact = None;
+    common_responses::add(&mut openapi);
     (router, openapi)
 }
 

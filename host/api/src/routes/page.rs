@@ -1,6 +1,6 @@
 //! Page for browsers: its files, and the security headers of all responses.
 
-use axum::extract::{Path, Request};
+use axum::extract::Request;
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG, IF_NONE_MATCH, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS,
@@ -11,6 +11,8 @@ use axum::response::{IntoResponse, Response};
 use tower_http::compression::CompressionLayer;
 use tower_http::compression::CompressionLevel;
 use tower_http::compression::predicate::{NotForContentType, Predicate, SizeAbove};
+
+use crate::problem::PathName;
 
 /// Content security policy: files of this server only, no inline script or style, no embedding in frames.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; \
@@ -27,7 +29,7 @@ pub(super) async fn index(headers: HeaderMap) -> Response {
 }
 
 /// Returns a file of the page.
-pub(super) async fn file(Path(path): Path<String>, headers: HeaderMap) -> Response {
+pub(super) async fn file(PathName(path): PathName, headers: HeaderMap) -> Response {
     serve(&path, &headers)
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::StatusCode;
 use ihd_daemon::{JournalFilter, MAX_COLUMNS};
 use ihd_model::{
@@ -13,7 +13,7 @@ use serde::Deserialize;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::problem::{ApiQuery, ErrorResponse};
+use crate::problem::{ApiQuery, ErrorResponse, PathName};
 
 /// Default number of columns of a history.
 const HISTORY_COLUMNS: u32 = 600;
@@ -69,7 +69,7 @@ pub(super) struct HistoryParameters {
         (status = 404, body = Problem)))]
 pub(super) async fn history(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<HistoryParameters>,
 ) -> Result<Json<History>, ErrorResponse> {
     let columns = checked_count("columns", parameters.columns, HISTORY_COLUMNS, MAX_COLUMNS)?;
@@ -91,7 +91,7 @@ pub(super) async fn history(
     responses((status = 200, body = PotCurve), (status = 404, body = Problem)))]
 pub(super) async fn pot_temperature(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
 ) -> Result<Json<PotCurve>, ErrorResponse> {
     let curve = app.daemon.view().pot_curve(&name);
     Ok(Json(curve.ok_or_else(|| ErrorResponse::no_device(&name))?))
@@ -113,7 +113,7 @@ pub(super) struct LimitParameters {
         (status = 404, body = Problem)))]
 pub(super) async fn windows(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<LimitParameters>,
 ) -> Result<Json<Vec<WindowSummary>>, ErrorResponse> {
     let limit = checked_count("limit", parameters.limit, 100, MAX_ROWS)?;
@@ -171,7 +171,7 @@ impl WindowParameters {
         (status = 404, description = "No such device, or no such window with samples", body = Problem)))]
 pub(super) async fn window(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<WindowParameters>,
 ) -> Result<Json<Scope>, ErrorResponse> {
     let scope = app.daemon.view().scope(&name, parameters.query()?).await?;
@@ -188,7 +188,7 @@ pub(super) async fn window(
         (status = 404, body = Problem)))]
 pub(super) async fn training(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<LimitParameters>,
 ) -> Result<Json<Vec<Fit>>, ErrorResponse> {
     let limit = checked_count("limit", parameters.limit, 50, MAX_ROWS)?;
@@ -211,7 +211,7 @@ pub(super) struct MapParameters {
         (status = 404, description = "No such device or version", body = Problem)))]
 pub(super) async fn map(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<MapParameters>,
 ) -> Result<Json<Map>, ErrorResponse> {
     let map = app.daemon.view().map(&name, parameters.version).await?;

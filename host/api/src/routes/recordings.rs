@@ -10,7 +10,7 @@ use std::time::UNIX_EPOCH;
 
 use axum::Json;
 use axum::body::{Body, Bytes};
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::header::{
     ACCEPT_RANGES, CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE,
     ETAG, IF_RANGE, RANGE, X_CONTENT_TYPE_OPTIONS,
@@ -26,7 +26,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
-use crate::problem::{ApiQuery, ErrorResponse};
+use crate::problem::{ApiQuery, ErrorResponse, PathName};
 
 /// Limits simultaneous conversions of the process: each keeps a core busy.
 static CONVERSIONS: Semaphore = Semaphore::const_new(2);
@@ -91,7 +91,7 @@ pub(super) struct RecordingParameters {
         (status = 503, description = "Two conversions are already in progress", body = Problem)))]
 pub(super) async fn one(
     State(app): State<Arc<App>>,
-    Path(name): Path<String>,
+    PathName(name): PathName,
     ApiQuery(parameters): ApiQuery<RecordingParameters>,
     request_headers: HeaderMap,
 ) -> Result<Response, ErrorResponse> {

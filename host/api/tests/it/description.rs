@@ -16,33 +16,33 @@ fn document() -> Value {
 
 /// Stable routes of the API. Removing or changing a line breaks clients and requires /api/v2.
 const ROUTES: &str = "\
-GET /api/v1/devices -> 200
-GET /api/v1/devices/{name} -> 200 404
-DELETE /api/v1/devices/{name}/lease -> 204 404 423
-PUT /api/v1/devices/{name}/lease -> 200 404 423
-POST /api/v1/devices/{name}/commands -> 200 404 409 423 503
-GET /api/v1/devices/{name}/lookups -> 200 404
-GET /api/v1/devices/{name}/results -> 200 400 404
-GET /api/v1/events -> 200 503
-GET /api/v1/fleet -> 200 404
-GET /api/v1/hob -> 200
-GET /api/v1/devices/{name}/history -> 200 400 404
-GET /api/v1/devices/{name}/windows -> 200 400 404
-GET /api/v1/devices/{name}/window -> 200 400 404
-GET /api/v1/devices/{name}/training -> 200 400 404
-GET /api/v1/devices/{name}/map -> 200 400 404
-GET /api/v1/devices/{name}/pot-temperature -> 200 404
-GET /api/v1/journal -> 200 400
-GET /api/v1/live -> 200 400 503
-GET /api/v1/openapi.json -> 200
-GET /api/v1/recordings -> 200
-GET /api/v1/recordings/{file} -> 200 206 400 404 409 413 416 503
-DELETE /api/v1/session -> 204
-GET /api/v1/session -> 200 401
-POST /api/v1/session -> 204 401
-POST /api/v1/store/backup -> 200 400 409 500
-GET /healthz -> 200 503
-GET /metrics -> 200 401
+GET /api/v1/devices -> 200 401 403 421 500 504
+GET /api/v1/devices/{name} -> 200 400 401 403 404 421 500 504
+DELETE /api/v1/devices/{name}/lease -> 204 400 401 403 404 421 423 500 504
+PUT /api/v1/devices/{name}/lease -> 200 400 401 403 404 413 415 421 422 423 500 504
+POST /api/v1/devices/{name}/commands -> 200 400 401 403 404 409 413 415 421 422 423 500 503 504
+GET /api/v1/devices/{name}/lookups -> 200 400 401 403 404 421 500 504
+GET /api/v1/devices/{name}/results -> 200 400 401 403 404 421 500 504
+GET /api/v1/events -> 200 401 403 421 500 503 504
+GET /api/v1/fleet -> 200 401 403 404 421 500 504
+GET /api/v1/hob -> 200 401 403 421 500 504
+GET /api/v1/devices/{name}/history -> 200 400 401 403 404 421 500 504
+GET /api/v1/devices/{name}/windows -> 200 400 401 403 404 421 500 504
+GET /api/v1/devices/{name}/window -> 200 400 401 403 404 421 500 504
+GET /api/v1/devices/{name}/training -> 200 400 401 403 404 421 500 504
+GET /api/v1/devices/{name}/map -> 200 400 401 403 404 421 500 504
+GET /api/v1/devices/{name}/pot-temperature -> 200 400 401 403 404 421 500 504
+GET /api/v1/journal -> 200 400 401 403 421 500 504
+GET /api/v1/live -> 200 400 401 403 421 500 503 504
+GET /api/v1/openapi.json -> 200 401 403 421 500 504
+GET /api/v1/recordings -> 200 401 403 421 500 504
+GET /api/v1/recordings/{file} -> 200 206 400 401 403 404 409 413 416 421 500 503 504
+DELETE /api/v1/session -> 204 403 421 500 504
+GET /api/v1/session -> 200 401 403 421 500 504
+POST /api/v1/session -> 204 400 401 403 413 415 421 422 500 504
+POST /api/v1/store/backup -> 200 400 401 403 409 413 415 421 422 500 504
+GET /healthz -> 200 403 421 500 503 504
+GET /metrics -> 200 401 403 421 500 504
 ";
 
 #[test]
@@ -156,6 +156,16 @@ fn every_route_of_the_document_is_there() {
             status != 405 && !body.contains("no-route"),
             "{request}: {status} {body}"
         );
+    }
+}
+
+#[test]
+fn a_name_that_is_no_text_is_a_problem() {
+    let server = Running::start();
+    for path in ["devices/%ff/map", "devices/%ff", "recordings/%ff"] {
+        let (status, body) = ask(server.address, &format!("GET /api/v1/{path}"), &[], "");
+        let problem: Value = serde_json::from_str(&body).unwrap();
+        assert_eq!((status, problem["error"].as_str()), (400, Some("path")));
     }
 }
 
