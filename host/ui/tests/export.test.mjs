@@ -34,7 +34,7 @@ test("times of an axis say as much as their distance needs", () => {
 
 test("powers of a sweep", () => {
   assert.deepEqual(powersOf("400, 900;1200", 2500), [400, 900, 1200]);
-  for (const bad of ["", "0", "-5", "400, x", "2501", "1.5", Array(33).fill("1").join(",")]) assert.equal(powersOf(bad, 2500), null, bad);
+  for (const bad of ["", "0", "-5", "400, x", "2501", "1.5"]) assert.equal(powersOf(bad, 2500), null, bad);
 });
 
 test("places go through the hash and back, and nonsense is the list of devices", () => {

@@ -34,7 +34,7 @@ pub enum DueCheck {
     /// Keep-alive of a device that heats for the daemon.
     KeepAlive,
     /// Query of a device that has sent nothing for this long.
-    Silence(Duration),
+    Silence,
 }
 
 impl Contact {
@@ -90,7 +90,7 @@ impl Contact {
     /// Returns the check that is due; `heats` is `true` if the device heats for the daemon.
     pub fn due_check(&self, heats: bool) -> Option<DueCheck> {
         if self.is_silent() && self.last_request.elapsed() >= SILENCE_LIMIT {
-            return Some(DueCheck::Silence(self.last_event.elapsed()));
+            return Some(DueCheck::Silence);
         }
         let is_due = heats && self.last_check.elapsed() >= KEEPALIVE_PERIOD;
         is_due.then_some(DueCheck::KeepAlive)
@@ -101,7 +101,7 @@ impl Contact {
         match check {
             DueCheck::KeepAlive => self.unanswered = 0,
             // It answers and sends no half-cycles.
-            DueCheck::Silence(_) => self.unanswered += 1,
+            DueCheck::Silence => self.unanswered += 1,
         }
     }
 
@@ -145,7 +145,7 @@ mod tests {
         advance(2 * S - Duration::from_millis(1)).await;
         assert_eq!(contact.due_check(false), None);
         advance(Duration::from_millis(1)).await;
-        assert_eq!(contact.due_check(false), Some(DueCheck::Silence(2 * S)));
+        assert_eq!(contact.due_check(false), Some(DueCheck::Silence));
         // A request under way asks already.
         contact.on_request();
         assert_eq!(contact.due_check(false), None);
@@ -167,7 +167,7 @@ mod tests {
         assert!(contact.unanswered() && contact.unanswered() && !contact.unanswered());
         contact.on_event();
         // It answers each time, and sends no half-cycles.
-        let silent = DueCheck::Silence(2 * S);
+        let silent = DueCheck::Silence;
         contact.answered(silent);
         contact.answered(silent);
         assert!(!contact.is_lost());

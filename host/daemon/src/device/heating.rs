@@ -33,16 +33,15 @@ impl DeviceSession<'_> {
         let Some(check) = self.link.contact.due_check(heats_for_us) else {
             return Ok(());
         };
-        if let DueCheck::Silence(silent) = check {
-            self.record.enter(
-                DeviceState::Suspended,
-                &format!("nothing came for {:.0} s", silent.as_secs_f64()),
-            );
+        if check == DueCheck::Silence {
+            // Without the time, which goes on while the state stays.
+            self.record
+                .enter(DeviceState::Suspended, "nothing came, and it is asked");
         }
         match self.check_power().await {
             Ok(()) => {
                 self.link.contact.answered(check);
-                if let DueCheck::Silence(_) = check {
+                if check == DueCheck::Silence {
                     // It answers without streaming, as after a hello of another host.
                     let restarted = self
                         .link

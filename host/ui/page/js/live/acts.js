@@ -7,9 +7,6 @@ import { actOrAsk, heatOrAsk } from "./power.js";
 /** Powers of a sweep as shares of the rated one: what `ihd trainer` goes through in its demonstration, evenly. */
 const SWEEP_SHARES = [0.2, 0.4, 0.6, 0.8];
 
-/** Most powers of a sweep. */
-const MAX_POWERS = 32;
-
 export class Acts {
   /**
    * @param {HTMLElement} root
@@ -65,7 +62,7 @@ export class Acts {
     if (answer !== "sweep") return;
     const powers_w = powersOf(input.value, hob.requested_power_max_w);
     if (powers_w === null) {
-      setText(this.says, `No sweep: powers are 1 to ${MAX_POWERS} whole numbers of watt up to ${hob.requested_power_max_w}, with commas between them.`);
+      setText(this.says, `No sweep: powers are whole numbers of watt up to ${hob.requested_power_max_w}, with commas between them.`);
       return;
     }
     await this.#carryOut(() => heatOrAsk(this.context, { command: "sweep", powers_w }));
@@ -113,6 +110,6 @@ export class Acts {
  */
 export function powersOf(text, most_w) {
   const powers = text.split(/[,;\s]+/).filter(Boolean).map(Number);
-  const good = powers.length >= 1 && powers.length <= MAX_POWERS && powers.every((w) => Number.isInteger(w) && w > 0 && w <= most_w);
+  const good = powers.length >= 1 && powers.every((w) => Number.isInteger(w) && w > 0 && w <= most_w);
   return good ? powers : null;
 }

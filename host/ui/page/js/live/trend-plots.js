@@ -101,8 +101,8 @@ export class TrendPlots {
     return {
       title: quantity, name: r ? "r" : "l",
       axes: [r
-        ? { key: "y", label: "R", unit: "Ω", range: (/** @type {any} */ a, /** @type {any} */ b) => this.#around(points(), a, b) }
-        : { key: "y", label: "L", unit: "µH", factor: 1e6, range: (/** @type {any} */ a, /** @type {any} */ b) => this.#around(points(), a, b) }],
+        ? { key: "y", label: "R", unit: "Ω", range: (/** @type {any} */ a, /** @type {any} */ b) => this.#around(points(), a, b, 10) }
+        : { key: "y", label: "L", unit: "µH", factor: 1e6, range: (/** @type {any} */ a, /** @type {any} */ b) => this.#around(points(), a, b, 100e-6) }],
       series: [{ label: "device, at the crest", axis: "y", colour: "s2", width: 1.5, digits: r ? 3 : 2 }, ...edges("y", "s2")],
       bands: [{ high: 2, low: 3, colour: "b2" }],
       notes: [
@@ -147,9 +147,10 @@ export class TrendPlots {
    * @param {{at_s: number[], value: (number | null)[]}} points
    * @param {number | null} least
    * @param {number | null} most
+   * @param {number} top of the axis while there is neither
    * @returns {[number, number]}
    */
-  #around(points, least, most) {
+  #around(points, least, most, top) {
     let low = least ?? Infinity;
     let high = most ?? -Infinity;
     const { at_s, value } = points;
@@ -159,7 +160,7 @@ export class TrendPlots {
       low = Math.min(low, y);
       high = Math.max(high, y);
     }
-    if (!(low <= high)) return [0, 1];
+    if (!(low <= high)) return [0, top];
     // A quiet load is shown quiet: two percent of its value at least.
     const room = Math.max(0, 0.02 * high - (high - low)) / 2;
     return padded(low - room, high + room);

@@ -111,7 +111,7 @@ class TrainingView {
       device: () => this.device,
       title: "Fits that passed: error against the truth, 2 σ",
       name: "training-errors",
-      x: { label: "time", unit: "h:min", time: true },
+      x: { label: "time", unit: "local", time: true },
       axes: [{ key: "pct", label: "of R, L", unit: "%" }],
       series: [
         { label: "error of R", axis: "pct", colour: "s1", marker: "circle", line: false, digits: 3 },
