@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use csv::Position;
 
-use super::heading::{Heading, headings};
+use super::heading::{Heading, check_width, headings};
 use super::prelude::Prelude;
 use crate::channels::ChannelRef;
 use crate::error::FormatError;
@@ -55,7 +55,7 @@ impl ColumnLayout {
     /// none), voltage, current.
     ///
     /// # Errors
-    /// [`FormatError`] when a column that the user names is not there.
+    /// [`FormatError`] when a column that the user names is not there, or the heading does not fit the rows.
     pub fn from_prelude(
         prelude: &Prelude,
         named: Option<&[ChannelRef; 3]>,
@@ -73,6 +73,7 @@ impl ColumnLayout {
             }
             None => {
                 let (time, others) = clock(prelude, &headings);
+                check_width(prelude)?;
                 let all = 0..prelude.width;
                 let channel = |k: &usize| !others.contains(k) && is_channel(prelude, &headings, *k);
                 (time, all.filter(channel).collect())

@@ -1,6 +1,7 @@
 //! Names and units above the columns of a table.
 
 use super::prelude::Prelude;
+use crate::error::FormatError;
 use crate::formats::unit::{ColumnQuantity, Unit};
 
 /// Heading of one column.
@@ -82,6 +83,24 @@ pub fn headings(prelude: &Prelude) -> Vec<Heading> {
     all.resize(prelude.width.max(all.len()), Heading::default());
     from_keys(prelude, &mut all);
     all
+}
+
+/// Checks that the row above the numbers has a name or a unit for each of them; scopes state more there (Rigol's `Increment`).
+///
+/// # Errors
+/// [`FormatError`] with both numbers: names would be those of other columns.
+pub fn check_width(prelude: &Prelude) -> Result<(), FormatError> {
+    let last = prelude.rows.last().filter(|_| !prelude.beside);
+    match last.map(Vec::len) {
+        Some(named) if named < prelude.filled => {
+            let what = format!(
+                "{} columns, {named} names or units above them: name the columns by their numbers, as in --input columns=1,2,3 (- for no time)",
+                prelude.filled
+            );
+            Err(FormatError::at_line(prelude.end.line(), what))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Returns `true` if a row holds units: its first cell is one or counts samples, and another is one.

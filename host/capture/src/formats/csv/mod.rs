@@ -205,6 +205,45 @@ mod tests {
         assert!(why.contains("ascend"), "read as far as its times: {why}");
     }
 
+    /// Spreadsheets, and PowerShell where decimals have a comma.
+    #[test]
+    fn commas_between_quotes_part_no_columns() {
+        let expected = read("t (s),v (V),i (A)\n0,0.25,1.5\n0.5,-0.25,2\n").unwrap();
+        for text in [
+            "\u{feff}\"t, all (s)\",\"v, coil (V)\",\"i \"\"x\"\", (A)\"\n0,0.25,1.5\n0.5,-0.25,2\n",
+            "\"t (s)\",\"v (V)\",\"i (A)\"\r\n\"0\",\"0,25\",\"1,5\"\r\n\"0,5\",\"-0,25\",\"2\"\r\n",
+            "\"0\",\"0,25\",\"1,5\"\n\"0,5\",\"-0,25\",\"2\"\n",
+        ] {
+            assert_eq!(read(text), Ok(expected.clone()), "{text}");
+        }
+        let cut =
+            read("\"t\",\"v\",\"i\"\n\"0\",\"0,25\",\"1,5\"\n\"0,5\",\"0,25\",\"1,").unwrap_err();
+        assert!(cut.what.contains("fields"), "{cut}");
+    }
+
+    #[test]
+    fn a_heading_with_fewer_names_than_columns_is_refused_unless_they_are_named() {
+        for text in [
+            // Names of rows without a heading, as R writes them; a text.
+            "v,i\n0,1,2\n1,3,4\n",
+            "of the coil\n0,1,2\n1,3,4\n",
+        ] {
+            let why = read(text).unwrap_err();
+            assert!(why.what.contains("--input columns=1,2,3"), "{why}");
+            let columns = [1, 2, 3].map(ChannelRef::Number);
+            let source = CsvSource::open(Cursor::new(text), Some(&columns));
+            assert!(source.is_ok(), "{text}");
+        }
+        // An index without a name, as pandas writes it; empty columns; more names.
+        for text in [
+            ",t,v,i\n0,0,1,2\n1,1,3,4\n",
+            "t,v,i\n0,1,2,,\n1,3,4,,\n",
+            "t,v,i,notes\n0,1,2\n1,3,4\n",
+        ] {
+            assert!(read(text).is_ok(), "{text}");
+        }
+    }
+
     #[test]
     fn blanks_between_columns_are_named() {
         for rows in [3, 2000] {

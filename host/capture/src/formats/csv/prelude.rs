@@ -22,6 +22,8 @@ pub struct Prelude {
     pub beside: bool,
     /// Fields of the first row of numbers.
     pub width: usize,
+    /// The same without empty ones at its end.
+    pub filled: usize,
     /// Place of the first row of numbers.
     pub end: Position,
 }
@@ -43,6 +45,7 @@ impl Prelude {
             rows: Vec::new(),
             beside: false,
             width: 0,
+            filled: 0,
             end: Position::new(),
         };
         loop {
@@ -54,6 +57,8 @@ impl Prelude {
             prelude.beside |= prelude.rows.is_empty() && is_beside(record, syntax);
             if prelude.width == 0 && (prelude.beside || syntax.is_numbers(record)) {
                 prelude.width = record.len();
+                let is_filled = |field: &[u8]| !field.trim_ascii().is_empty();
+                prelude.filled = record.iter().rposition(is_filled).map_or(0, |k| k + 1);
                 let mut end = record.position().cloned().unwrap_or_else(Position::new);
                 // Behind a CR the reader stands before its LF.
                 let after_cr = u64::from(row.line() > end.line());

@@ -41,9 +41,14 @@ impl Syntax {
             .filter(|_| head.last() != Some(&end))
             .unwrap_or(last);
         let delimiter = [b'\t', b';'].into_iter().find(|d| line.contains(d));
+        // Between commas, the second part of each pair of quotes: `"0,5","1,25"`.
+        let mut quoted = line.split(|b| *b == b'"').skip(1).step_by(2);
         Self {
             delimiter: delimiter.unwrap_or(b','),
-            decimal_comma: delimiter.is_some() && line.contains(&b','),
+            decimal_comma: match delimiter {
+                Some(_) => line.contains(&b','),
+                None => quoted.any(|text| text.contains(&b',')),
+            },
             crlf: line.ends_with(b"\r"),
         }
     }
@@ -55,7 +60,11 @@ impl Syntax {
         if let Ok(value) = text.parse() {
             return Some(value);
         }
-        let text = text.trim().trim_matches('"');
+        let mut text = text.trim();
+        if let Some(quoted) = text.strip_prefix('"') {
+            // A quote that is not closed: the row was cut.
+            text = quoted.strip_suffix('"')?.trim();
+        }
         if self.decimal_comma && text.contains(',') {
             return text.replace(',', ".").parse().ok();
         }
@@ -96,6 +105,28 @@ pub fn significant_digits(field: &[u8]) -> usize {
         .iter()
         .filter(|c| c.is_ascii_digit());
     digits.skip_while(|c| **c == b'0').count()
+}
+
+/// Joins the fields that a delimiter between quotes has parted. A quote that the line does not close stays one: it would swallow all
+/// that follows.
+fn joined(record: &ByteRecord, delimiter: u8) -> ByteRecord {
+    let is_odd = |k: &usize| {
+        let quotes = record.get(*k).unwrap_or(&[]).iter();
+        quotes.filter(|b| **b == b'"').count() % 2 == 1
+    };
+    let mut whole = ByteRecord::with_capacity(record.as_slice().len(), record.len());
+    whole.set_position(record.position().cloned());
+    let mut next = 0;
+    while let Some(field) = record.get(next) {
+        let opens = field.trim_ascii_start().starts_with(b"\"") && is_odd(&next);
+        let closed =
+            (opens.then_some(next + 1..record.len())).and_then(|mut rest| rest.find(is_odd));
+        let end = closed.unwrap_or(next);
+        let parts: Vec<&[u8]> = record.iter().take(end + 1).skip(next).collect();
+        whole.push_field(&parts.join(&delimiter));
+        next = end + 1;
+    }
+    whole
 }
 
 /// One row.
@@ -187,7 +218,7 @@ impl Rows {
     /// Creates a reader; `source` is positioned at `begin` of its file.
     pub fn new(source: Box<dyn BufRead>, syntax: Syntax, begin: Position) -> Self {
         let bounded = LineLimited { source, in_line: 0 };
-        // Quoting is off: an unclosed quote would swallow the rest of the file.
+        // An unclosed quote would swallow the rest of the file: `joined` looks at one line at a time.
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
@@ -227,6 +258,9 @@ impl Rows {
             .record
             .position()
             .map_or((0, 1), |at| (at.byte(), at.line()));
+        if self.record.as_slice().contains(&b'"') {
+            self.record = joined(&self.record, self.syntax.delimiter);
+        }
         // The reader ends a row at CR and counts the line at LF, which it reads with the next row.
         let uncounted = u64::from(self.syntax.crlf && at_byte > 0);
         Ok(more.then_some(CsvRow {
@@ -272,6 +306,11 @@ mod tests {
         assert_eq!(german.number(b" -2,5e-3"), Some(-2.5e-3));
         assert_eq!(of("Time\tA\n1.0\t2.0").delimiter, b'\t');
         assert_eq!(of("a;b\r1;2\r3").delimiter, b';', "CR alone");
+        let quoted = of("\"t\",\"v, coil\"\n\"0,5\",\"-2,5e-3\"\n");
+        assert_eq!((quoted.delimiter, quoted.decimal_comma), (b',', true));
+        assert_eq!(quoted.number(b"\"-2,5e-3\""), Some(-2.5e-3));
+        assert_eq!(quoted.number(b"\"-2"), None, "cut");
+        assert!(!of("\"t\",\"v, coil\"\n\"0.5\",\"2.5\"\n").decimal_comma);
         // The head ends within a line that has no delimiter yet.
         assert_eq!(of("a;b\n1;2\n3").delimiter, b';');
     }
