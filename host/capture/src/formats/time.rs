@@ -27,10 +27,11 @@ pub fn decimal_resolution(stamps: &[f64], significant_digits: usize) -> f64 {
     10f64.powi(largest.log10().floor() as i32 - places)
 }
 
-/// Resolution of stamps that are all single-precision numbers, in their unit; 0 of others.
+/// Resolution of stamps that are all single-precision numbers, in their unit; 0 of others. A program that adds in single precision rounds
+/// twice.
 pub fn binary_resolution(stamps: &[f64]) -> f64 {
     match stamps.iter().all(|t| f64::from(*t as f32) == *t) {
-        true => f64::from(f32::EPSILON) * largest(stamps),
+        true => 2.0 * f64::from(f32::EPSILON) * largest(stamps),
         false => 0.0,
     }
 }
@@ -43,8 +44,8 @@ fn largest(stamps: &[f64]) -> f64 {
 /// Finds the time base of finite stamps in seconds, at least two of them.
 ///
 /// Stamps may be rounded to multiples of `resolution_s` (0: exact), so that two of them can be
-/// equal; they count as even when all lie within one and a half of it (both the first and the k-th
-/// may be off), or a thousandth of the interval, of an even grid. `declared_s`, the interval that
+/// equal; they count as even when all lie within it (the first and the k-th may be off by half of it
+/// each), or a thousandth of the interval, of an even grid. `declared_s`, the interval that
 /// the file states, is taken where it is as good as the one from the first to the last stamp.
 ///
 /// # Errors
@@ -62,10 +63,15 @@ pub fn time_base(
     // Rounding makes stamps equal but never reverses them.
     let descends = stamps.windows(2).any(|pair| pair[1] < pair[0]);
     for dt_s in declared_s.into_iter().chain([mean_s]) {
-        let rounding = f64::EPSILON * first.abs().max(last.abs());
-        let tolerance = (1.5 * resolution_s).max(MAX_JITTER * dt_s) + 4.0 * rounding;
+        let rounding = 4.0 * f64::EPSILON * first.abs().max(last.abs());
+        let tolerance = resolution_s.max(MAX_JITTER * dt_s) + rounding;
         let even = |(k, t): (usize, &f64)| (t - first - k as f64 * dt_s).abs() <= tolerance;
-        if dt_s > 0.0 && !descends && stamps.iter().enumerate().all(even) {
+        // A step is off by the rounding of both its ends; the mean interval, by that of the first and the last stamp.
+        let of_step = (1.0 + 1.0 / intervals) * resolution_s;
+        let of_step = of_step.max(2.0 * MAX_JITTER * dt_s) + rounding;
+        let steady = |pair: &[f64]| (pair[1] - pair[0] - dt_s).abs() <= of_step;
+        let is_even = || stamps.iter().enumerate().all(even) && stamps.windows(2).all(steady);
+        if dt_s > 0.0 && !descends && is_even() {
             return Ok(TimeBase::Even { t0_s: first, dt_s });
         }
     }
@@ -124,12 +130,31 @@ mod tests {
         }
     }
 
+    /// Whole microseconds at 1 MS/s: a step of 2 µs may be one of 1 µs, rounded; one of 3 µs may not.
+    #[test]
+    fn two_samples_missing_among_coarse_stamps_are_seen() {
+        for (missing, is_even) in [(0, true), (1, true), (2, false)] {
+            let late = |k: i32| f64::from(k + if k < 5000 { 0 } else { missing });
+            let stamps: Vec<f64> = (0..10_000)
+                .map(|k| (1e-6 * late(k) / 1e-6).round() * 1e-6)
+                .collect();
+            for declared_s in [None, Some(1e-6)] {
+                let base = time_base(stamps.clone(), 1e-6, declared_s);
+                assert_eq!(
+                    matches!(base, Ok(TimeBase::Even { .. })),
+                    is_even,
+                    "{missing}"
+                );
+            }
+        }
+    }
+
     #[test]
     fn single_precision_rounds_stamps_by_up_to_a_few_percent_of_an_interval() {
         let single = |k: i32| f64::from((f64::from(k) * 1e-7) as f32);
         let stamps: Vec<f64> = (0..200_000).map(single).collect();
         let resolution_s = binary_resolution(&stamps);
-        assert!((1.8e-9..3e-9).contains(&resolution_s), "{resolution_s}");
+        assert!((3.6e-9..6e-9).contains(&resolution_s), "{resolution_s}");
         let base = time_base(stamps, resolution_s, None);
         assert!(matches!(base, Ok(TimeBase::Even { .. })));
         assert_eq!(binary_resolution(&[0.0, 1e-7]), 0.0);
