@@ -124,10 +124,13 @@ impl<A: Arrays> ArraySource<A> {
         let unit_stated = text_of("verticalUnits").filter(|_| columns.len() == 1);
         let channel = |k: &usize| {
             let (name, unit) = heading(&arrays[*k]);
+            // Our own `v_full_scale_V` of `v_V`.
+            let full_scale = (format!("{name}_full_scale"), unit);
+            let full_scale = arrays.iter().find(|a| heading(a) == full_scale);
             FileChannel {
                 name,
                 unit: unit.or_else(|| Unit::parse(unit_stated?)),
-                full_scale: None,
+                full_scale: full_scale.and_then(|a| a.scalar).filter(|x| *x > 0.0),
             }
         };
         let texts = arrays
