@@ -200,9 +200,12 @@ pub enum CdrError {
     /// An odd number of values, or not one time per pair.
     #[error("its pairs and times do not match")]
     Uneven,
-    /// A time is not finite.
-    #[error("its times are not finite")]
+    /// A time is not finite, or the interval not above zero.
+    #[error("its times are not finite, or do not ascend")]
     Time,
+    /// A scale is not finite.
+    #[error("its scales are not finite")]
+    Scale,
 }
 
 struct CdrReader<'a> {
@@ -273,8 +276,22 @@ pub fn read_samples(message: &[u8], as_codes: bool) -> Result<SamplesMessage, Cd
     if !values.is_multiple_of(2) || !(t_s.is_empty() || t_s.len() == values / 2) {
         return Err(CdrError::Uneven);
     }
-    if !t0_s.is_finite() || !dt_s.is_finite() || t_s.iter().any(|t| !t.is_finite()) {
+    let is_even = t_s.is_empty() && values > 2;
+    if !t0_s.is_finite()
+        || !dt_s.is_finite()
+        || (is_even && dt_s <= 0.0)
+        || t_s.iter().any(|t| !t.is_finite())
+    {
         return Err(CdrError::Time);
+    }
+    if let Pairs::Codes {
+        volt_per_code,
+        ampere_per_code,
+        ..
+    } = pairs
+        && !(volt_per_code.is_finite() && ampere_per_code.is_finite())
+    {
+        return Err(CdrError::Scale);
     }
     Ok(SamplesMessage {
         t0_s,
@@ -351,5 +368,15 @@ mod tests {
         let mut nan = whole;
         nan[4..12].copy_from_slice(&f64::NAN.to_le_bytes());
         assert_eq!(read_samples(&nan, true), Err(CdrError::Time));
+        let even = |dt_s, volt_per_code| {
+            let time = BatchTime::Even { t0_s: 0.0, dt_s };
+            codes(&time, [volt_per_code, 1.0], [[1, 2]; 2].into_iter())
+        };
+        assert!(read_samples(&even(1e-6, -0.5), true).is_ok());
+        for dt_s in [-1e-6, 0.0] {
+            assert_eq!(read_samples(&even(dt_s, 0.5), true), Err(CdrError::Time));
+        }
+        let infinite = even(1e-6, f64::INFINITY);
+        assert_eq!(read_samples(&infinite, true), Err(CdrError::Scale));
     }
 }
