@@ -35,6 +35,15 @@ fn make_program(folder: &Path, name: &str, script: &str) {
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
 }
 
+/// Makes stand-ins for everything that lies beside a program of this ending.
+fn make_release(folder: &Path, ending: &str) {
+    for name in ["ihd", "ihd-fleet"] {
+        make_program(folder, &format!("{name}{ending}"), "#!/bin/sh\n");
+    }
+    fs::write(folder.join("THIRD-PARTY-LICENCES"), "texts\n").unwrap();
+    make_program(folder, "pages", PAGES);
+}
+
 /// Lines that a program prints about a file.
 fn listed(program: &str, arguments: &[&str], file: &Path) -> Vec<String> {
     let output = Command::new(program).args(arguments).arg(file).output();
@@ -45,10 +54,7 @@ fn listed(program: &str, arguments: &[&str], file: &Path) -> Vec<String> {
 #[test]
 fn an_archive_holds_program_pages_completions_rule_and_licences() {
     let folder = tempfile::tempdir().unwrap();
-    make_program(folder.path(), "ihd", "#!/bin/sh\n");
-    make_program(folder.path(), "ihd-fleet", "#!/bin/sh\n");
-    fs::write(folder.path().join("THIRD-PARTY-LICENCES"), "texts\n").unwrap();
-    make_program(folder.path(), "pages", PAGES);
+    make_release(folder.path(), "");
     // Twice: what is there is replaced.
     for _ in 0..2 {
         let packed = pack(folder.path());
@@ -76,6 +82,7 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
         "ihd",
         "ihd-fleet",
         "man/man1/ihd.1",
+        "packaging/nats/ihd-nats.service",
         "packaging/systemd/ihd.service",
     ]);
     assert_eq!(files, expected);
@@ -94,15 +101,16 @@ fn an_archive_holds_program_pages_completions_rule_and_licences() {
 #[test]
 fn an_archive_for_windows_holds_what_its_installer_starts() {
     let folder = tempfile::tempdir().unwrap();
-    make_program(folder.path(), "ihd.exe", "not run here");
-    make_program(folder.path(), "pages", PAGES);
+    make_release(folder.path(), ".exe");
     let packed = pack_program(folder.path(), "ihd.exe");
     assert!(packed.status.success(), "{packed:?}");
     let mut unpack = Command::new("python3");
     unpack.args(["-m", "zipfile", "-e", "out/ihd-v1-here.zip", "."]);
     assert!(unpack.current_dir(&folder).status().unwrap().success());
     let read = |name: &str| fs::read(folder.path().join("ihd-v1-here").join(name)).unwrap();
-    assert_eq!(read("ihd.exe"), b"not run here");
+    for program in ["ihd.exe", "ihd-fleet.exe"] {
+        assert_eq!(read(program), b"#!/bin/sh\n");
+    }
     assert!(read("README.md").starts_with(b"# ihd"));
     let task = read("ihd-task.xml");
     let units = task
@@ -123,7 +131,7 @@ fn a_program_that_fails_or_is_not_there_makes_no_archive() {
     let missing = pack(folder.path());
     assert!(!missing.status.success());
     assert!(String::from_utf8_lossy(&missing.stderr).contains("PROGRAM that was built"));
-    make_program(folder.path(), "ihd", "#!/bin/sh\n");
+    make_release(folder.path(), "");
     let silent = PAGES.replace("echo line", "true");
     for program in ["#!/bin/sh\necho no such command >&2; exit 2\n", &silent] {
         make_program(folder.path(), "pages", program);
@@ -131,6 +139,11 @@ fn a_program_that_fails_or_is_not_there_makes_no_archive() {
         let out = fs::read_dir(folder.path().join("out")).unwrap();
         assert_eq!(out.count(), 0);
     }
+    make_release(folder.path(), "");
+    fs::remove_file(folder.path().join("ihd-fleet")).unwrap();
+    let half = pack(folder.path());
+    assert!(!half.status.success());
+    assert!(String::from_utf8_lossy(&half.stderr).contains("ihd-fleet"));
 }
 
 /// Debian's own paths; the documents' links hold where they lie then, and the configuration is the user's to keep.
@@ -141,9 +154,7 @@ fn a_debian_package_puts_each_file_where_debian_looks_for_it() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    make_program(folder.path(), "ihd", "#!/bin/sh\n");
-    fs::write(folder.path().join("THIRD-PARTY-LICENCES"), "texts\n").unwrap();
-    make_program(folder.path(), "pages", PAGES);
+    make_release(folder.path(), "");
     assert!(pack(folder.path()).status.success());
     let out = folder.path().join("out");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../packaging/deb");
@@ -172,6 +183,7 @@ fn a_debian_package_puts_each_file_where_debian_looks_for_it() {
     assert!(extract.status().unwrap().success());
     for file in [
         "usr/bin/ihd",
+        "usr/bin/ihd-fleet",
         "usr/lib/udev/rules.d/70-ihd.rules",
         "usr/share/man/man1/ihd.1.gz",
         "usr/share/bash-completion/completions/ihd",
