@@ -32,7 +32,7 @@ class Capture:
     def __init__(self, v: ArrayLike, i: ArrayLike, fs: float, *, t0: float = 0.0, name: str = "arrays") -> None:
         """Makes a capture of arrays with `fs` samples a second, the first at `t0` seconds.
 
-        float64 and float32 arrays are read in place, whatever their strides; others are converted first.
+        float64 and float32 arrays are read in place, fields of packed records and other types from a copy.
         """
         self._native = _native.capture_of(_samples(v), _samples(i), fs, t0=t0, name=name)
 
@@ -153,10 +153,15 @@ class Capture:
 
 
 def _samples(x: ArrayLike) -> NDArray[Any]:
-    array = np.ma.filled(x, np.nan) if isinstance(x, np.ma.MaskedArray) else np.asarray(x)
+    array = np.asanyarray(x)
     if array.dtype.kind not in "fiu":
         raise TypeError(f"samples must be numbers: {array.dtype} are none")
-    return array if array.dtype in (np.float64, np.float32) else array.astype(np.float64)
+    if array.dtype not in (np.float64, np.float32):
+        array = array.astype(np.float64)
+    array = array.filled(np.nan) if isinstance(array, np.ma.MaskedArray) else np.asarray(array)
+    # A field of packed records: the extension counts strides in whole samples.
+    packed = not array.flags.aligned or any(stride % array.itemsize for stride in array.strides)
+    return array.copy() if packed else array
 
 
 def identify(v: ArrayLike, i: ArrayLike, fs: float, method: str = "least-squares", **options: Any) -> Identification:

@@ -85,6 +85,9 @@ class Arrays(unittest.TestCase):
         layouts = [
             (x, x / 10),
             (x.astype(np.float32), (x / 10).astype(np.float32)),
+        # Of 13 bytes, no multiple of a sample's size.
+        packed = np.zeros(len(x), dtype=[("flag", "u1"), ("v", "f8"), ("i", "f4")])
+        packed["v"], packed["i"] = x, x / 10
             (interleaved[:, 0], interleaved[:, 1]),
             (x[::-1][::-1], (x / 10).tolist()),
             (x.astype(">f8"), np.ascontiguousarray(x / 10, dtype="<f4")),
@@ -92,6 +95,8 @@ class Arrays(unittest.TestCase):
         ]
         for v, i in layouts:
             capture = ihd.Capture(v, i, 1e6, t0=-1e-3)
+            (packed["v"], packed["i"]),
+            (packed[::-1]["v"][::-1], x / 10),
             np.testing.assert_array_equal(capture.v, x.astype(np.float32))
             np.testing.assert_array_equal(capture.i, (x / 10).astype(np.float32))
             self.assertEqual(capture.t[0], -1e-3)
@@ -107,8 +112,9 @@ class Arrays(unittest.TestCase):
         self.assertIs(capture.v, capture.v)
 
     def test_masked_samples_are_missing_ones(self) -> None:
-        v = np.ma.masked_array(np.ones(5), mask=[0, 0, 1, 0, 0])
-        self.assertEqual(np.flatnonzero(np.isnan(ihd.Capture(v, np.ones(5), 1e6).v)).tolist(), [2])
+        for dtype in (np.float64, np.float32, np.int16, "u1"):
+            v = np.ma.masked_array(np.ones(5, dtype), mask=[0, 0, 1, 0, 0])
+            self.assertEqual(np.flatnonzero(np.isnan(ihd.Capture(v, np.ones(5), 1e6).v)).tolist(), [2])
 
     def test_wrong_arrays_are_refused(self) -> None:
         x = np.ones(10)
