@@ -9,11 +9,11 @@ Units are SI (s, V, A, ohm, H, Hz) unless a name ends with another one.
 
 from importlib.metadata import version as _version
 
-from ._native import CaptureError, IdentifyError, Law, StoreError, Truth, methods, presets
+from ._native import CaptureError, IdentifyError, StoreError, methods, presets
 from .api import DaemonError, LeaseError, Stream
-from .captures import Capture, CaptureWarning, identify, read, simulate
+from .captures import Capture, CaptureWarning, Truth, identify, read, simulate
 from .daemon import Curve, Daemon, Device, Window
-from .identification import Estimate, Finding, HalfCycle, Identification, Verdict
+from .identification import Estimate, Finding, HalfCycle, Identification, Law, Verdict
 from .lease import Lease
 from .store import Columns, Store
 

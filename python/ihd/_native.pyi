@@ -33,21 +33,9 @@ class Capture:
     full_scale: tuple[float | None, float | None]
     name: str
     metadata: dict[str, str]
-    truth: Truth | None
+    truth: Sequence[_Doubles] | None
     losses: str | None
     def __len__(self) -> int: ...
-
-class Truth:
-    """True R and L of the fundamental over time, one value per switching period, where there is a current."""
-
-    t: _Doubles
-    """Time in seconds."""
-    R: _Doubles
-    """Resistance in ohm."""
-    L: _Doubles
-    """Inductance in henry."""
-    i: _Doubles
-    """Amplitude of the current's fundamental in ampere."""
 
 class Outcome:
     """Result of a method on a stretch of constant switching frequency."""
@@ -67,23 +55,7 @@ class Outcome:
     findings: list[RemarkTuple]
     half_cycles: list[tuple[float, float, str, list[str]]]
     notes: list[str]
-    law: Law | None
-
-class Law:
-    """R and L over the amplitude of the current, one law of all half-cycles of a stretch, whatever the method."""
-
-    i: _Doubles
-    """Amplitude of the current's fundamental in ampere."""
-    R: _Doubles
-    """Resistance in ohm."""
-    L: _Doubles
-    """Inductance in henry."""
-    sigma_R: _Doubles
-    """Standard deviation of R in ohm."""
-    sigma_L: _Doubles
-    """Standard deviation of L in henry."""
-    chi2: float
-    """Squared residual over what noise leaves."""
+    law: tuple[_Doubles, _Doubles, _Doubles, _Doubles, _Doubles, float] | None
 
 class Store:
     """Store of a daemon, read-only."""
@@ -99,6 +71,8 @@ class Store:
 def capture_of(
     v: NDArray[Any], i: NDArray[Any], fs: float, *, t0: float = 0.0, name: str = "arrays"
 ) -> Capture: ...
+def state_of(capture: Capture) -> dict[str, Any]: ...
+def restored(state: dict[str, Any]) -> Capture: ...
 def read(
     path: str | os.PathLike[str],
     second: str | os.PathLike[str] | None = None,

@@ -6,13 +6,13 @@ import json
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _native
-from ._native import Truth
 from .identification import Identification
 
 Channel = int | str
@@ -22,11 +22,25 @@ class CaptureWarning(UserWarning):
     """A part of a file could not be read; the rest was."""
 
 
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """True R and L of the fundamental over time, one value per switching period, where there is a current."""
+
+    t: NDArray[np.float64]
+    """Time in seconds."""
+    R: NDArray[np.float64]
+    """Resistance in ohm."""
+    L: NDArray[np.float64]
+    """Inductance in henry."""
+    i: NDArray[np.float64]
+    """Amplitude of the current's fundamental in ampere."""
+
+
 class Capture:
     """Coil voltage `v` in volt and current `i` in ampere, sampled together.
 
-    Samples are float32, as the program holds them: 24 bits, more than any scope gives. `v` and `i` are the
-    capture's own arrays; what is written into them is identified.
+    Samples are float32, as the program holds them: 24 bits, more than any scope gives. `v` and `i` are views of the
+    capture's own samples; what is written into them is identified.
     """
 
     def __init__(self, v: ArrayLike, i: ArrayLike, fs: float, *, t0: float = 0.0, name: str = "arrays") -> None:
@@ -95,12 +109,16 @@ class Capture:
     @property
     def truth(self) -> Truth | None:
         """True R(t) and L(t) of a simulation; `None` for a measured capture."""
-        return self._native.truth
+        truth = self._native.truth
+        return None if truth is None else Truth(*truth)
 
     @property
     def losses(self) -> str | None:
         """Losses of a damaged file; `None` for a whole one."""
         return self._native.losses
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (_native.state_of(self._native),)
 
     def __len__(self) -> int:
         return len(self._native)
@@ -150,6 +168,10 @@ class Capture:
             capacitance=capacitance,
         )
         return Identification._of(outcomes, remarks)
+
+
+def _restored(state: dict[str, Any]) -> Capture:
+    return Capture._of(_native.restored(state))
 
 
 def _samples(x: ArrayLike) -> NDArray[Any]:

@@ -56,7 +56,7 @@ class Daemon:
         return self._client.stream("/live?" + urlencode({"interval_ms": round(interval_s * 1e3)}))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """R(t) and L(t) of a window: time in seconds after its first sample, ohm, henry; empty σ where none is known."""
 
@@ -72,7 +72,7 @@ class Curve:
         return None if report is None else cls(*(np.array(report[name], dtype=float) for name in names))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Window:
     """Window of a half-cycle in columns of a display: least and largest voltage and current of each. All samples of it
     are in the store: `Store.capture(device, boot, seq)`."""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _native
-from ._native import Law
 
 Verdict = Literal["pass", "refuse", "cannot_tell"]
 Array = NDArray[np.float64]
@@ -40,7 +39,26 @@ class HalfCycle(NamedTuple):
     why: list[str]
 
 
-@dataclass(frozen=True)
+# Arrays have no one truth: results are equal to themselves alone (eq=False), here and in daemon.py.
+@dataclass(frozen=True, eq=False)
+class Law:
+    """R and L over the amplitude of the current, one law of all half-cycles of a stretch, whatever the method."""
+
+    i: Array
+    """Amplitude of the current's fundamental in ampere."""
+    R: Array
+    """Resistance in ohm."""
+    L: Array
+    """Inductance in henry."""
+    sigma_R: Array
+    """Standard deviation of R in ohm."""
+    sigma_L: Array
+    """Standard deviation of L in henry."""
+    chi2: float
+    """Squared residual over what noise leaves."""
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """R(t) and L(t) of a stretch of one switching frequency."""
 
@@ -99,11 +117,11 @@ class Estimate:
             findings=_findings(outcome.findings),
             half_cycles=[HalfCycle(a, b, cast(Verdict, c), d) for a, b, c, d in outcome.half_cycles],
             notes=outcome.notes,
-            law=outcome.law,
+            law=None if outcome.law is None else Law(*outcome.law),
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Identification:
     """Result of a method on a capture: its stretches, and the arrays of all of them in order of time."""
 

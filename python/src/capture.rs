@@ -1,5 +1,7 @@
 //! Captures as Python objects. The samples are arrays that Python owns; everything else stays in [`ihd_signal::Capture`].
 
+pub mod state;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
@@ -26,10 +28,8 @@ pub struct Capture {
     /// Everything but the samples, which are `v` and `i`.
     facts: ihd_signal::Capture,
     /// Voltage in volt.
-    #[pyo3(get)]
     v: Singles,
     /// Current in ampere.
-    #[pyo3(get)]
     i: Singles,
     /// Losses of a damaged file, as a text; `None` for a whole one.
     #[pyo3(get)]
@@ -77,6 +77,18 @@ impl Capture {
 
 #[pymethods]
 impl Capture {
+    /// Voltage in volt: a new view, whose shape and type are the caller's to change.
+    #[getter]
+    fn v<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.v.bind(py).call_method0("view")
+    }
+
+    /// Current in ampere: a new view.
+    #[getter]
+    fn i<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.i.bind(py).call_method0("view")
+    }
+
     /// Source: a path, or a description.
     #[getter]
     fn name(&self) -> &str {
@@ -137,9 +149,9 @@ impl Capture {
         self.facts.metadata.clone()
     }
 
-    /// True R and L of a simulation; `None` for a measured capture.
+    /// True time in seconds, R, L and amplitude of the current of a simulation's fundamental; `None` for a measured capture.
     #[getter]
-    fn truth(&self, py: Python<'_>) -> Option<Truth> {
+    fn truth(&self, py: Python<'_>) -> Option<[Doubles; 4]> {
         (!self.facts.truth.is_empty()).then(|| {
             let ihd_signal::truth::Truth {
                 t_s,
@@ -148,13 +160,7 @@ impl Capture {
                 i_a,
                 ..
             } = fundamental(&self.facts.truth);
-            let array = |x: Vec<f64>| PyArray1::from_vec(py, x).unbind();
-            Truth {
-                t: array(t_s),
-                r: array(r_ohm),
-                l: array(l_h),
-                i: array(i_a),
-            }
+            [t_s, r_ohm, l_h, i_a].map(|x| PyArray1::from_vec(py, x).unbind())
         })
     }
 
@@ -168,23 +174,6 @@ impl Capture {
             .map_or_else(|| "uneven".to_owned(), |fs| format!("{fs:e} S/s"));
         format!("Capture({:?}, {} × {rate})", self.facts.name, self.len(py))
     }
-}
-
-/// True R and L of the fundamental over time, one value per switching period, where there is a current.
-#[pyclass(frozen, module = "ihd._native")]
-pub struct Truth {
-    /// Time in seconds.
-    #[pyo3(get)]
-    t: Doubles,
-    /// Resistance in ohm.
-    #[pyo3(get, name = "R")]
-    r: Doubles,
-    /// Inductance in henry.
-    #[pyo3(get, name = "L")]
-    l: Doubles,
-    /// Amplitude of the current's fundamental in ampere.
-    #[pyo3(get)]
-    i: Doubles,
 }
 
 /// Channel by its number or its name.

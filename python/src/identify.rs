@@ -17,6 +17,10 @@ type Doubles = Py<PyArray1<f64>>;
 /// A remark as a tuple: code, severity, text, value, limit.
 type RemarkTuple = (&'static str, String, String, Option<f64>, Option<f64>);
 
+/// A law as a tuple: amplitude of the current's fundamental in ampere, R, L, their standard deviations, squared residual over what
+/// noise leaves.
+type LawTuple = (Doubles, Doubles, Doubles, Doubles, Doubles, f64);
+
 /// Result of a method on a stretch of constant switching frequency.
 #[pyclass(frozen, get_all, module = "ihd._native")]
 pub struct Outcome {
@@ -56,28 +60,7 @@ pub struct Outcome {
     /// Limits that the method reached, parts that failed.
     notes: Vec<String>,
     /// One law of all half-cycles of the stretch, whatever the method; `None` where there is none.
-    law: Option<Py<Law>>,
-}
-
-/// R and L over the amplitude of the current.
-#[pyclass(frozen, get_all, module = "ihd._native")]
-pub struct Law {
-    /// Amplitude of the current's fundamental in ampere.
-    i: Doubles,
-    /// Resistance in ohm.
-    #[pyo3(name = "R")]
-    r: Doubles,
-    /// Inductance in henry.
-    #[pyo3(name = "L")]
-    l: Doubles,
-    /// Standard deviation of R in ohm.
-    #[pyo3(name = "sigma_R")]
-    sigma_r: Doubles,
-    /// Standard deviation of L in henry.
-    #[pyo3(name = "sigma_L")]
-    sigma_l: Doubles,
-    /// Squared residual over what noise leaves.
-    chi2: f64,
+    law: Option<LawTuple>,
 }
 
 /// Name of a verdict, as in the program's JSON.
@@ -100,18 +83,16 @@ fn tuple(remark: Remark) -> RemarkTuple {
     (code, severity.to_string(), text, value, limit)
 }
 
-impl Law {
-    fn new(py: Python<'_>, law: &PooledLaw) -> Self {
-        let array = |x: &[f64]| PyArray1::from_slice(py, x).unbind();
-        Self {
-            i: array(&law.i_a),
-            r: array(&law.r_ohm),
-            l: array(&law.l_h),
-            sigma_r: array(&law.r_sigma_ohm),
-            sigma_l: array(&law.l_sigma_h),
-            chi2: law.chi2,
-        }
-    }
+fn law_tuple(py: Python<'_>, law: &PooledLaw) -> LawTuple {
+    let array = |x: &[f64]| PyArray1::from_slice(py, x).unbind();
+    (
+        array(&law.i_a),
+        array(&law.r_ohm),
+        array(&law.l_h),
+        array(&law.r_sigma_ohm),
+        array(&law.l_sigma_h),
+        law.chi2,
+    )
 }
 
 impl Outcome {
@@ -120,9 +101,9 @@ impl Outcome {
         result: MethodResult,
         segments: &[Segment],
         laws: &[Option<PooledLaw>],
-    ) -> PyResult<Self> {
+    ) -> Self {
         let law = laws.get(result.segment).and_then(Option::as_ref);
-        let law = law.map(|law| Py::new(py, Law::new(py, law))).transpose()?;
+        let law = law.map(|law| law_tuple(py, law));
         let (estimate, error) = match result.result {
             Ok(estimate) => (Some(estimate), None),
             Err(error) => (None, Some(error.to_string())),
@@ -148,7 +129,7 @@ impl Outcome {
         } = result.judgement;
         let half_cycles = half_cycles.into_iter();
         let array = |x: Vec<f64>| PyArray1::from_vec(py, x).unbind();
-        Ok(Self {
+        Self {
             method: result.method.name(),
             f_sw,
             error,
@@ -167,7 +148,7 @@ impl Outcome {
                 .collect(),
             notes,
             law,
-        })
+        }
     }
 }
 
@@ -228,7 +209,7 @@ pub fn identify(
     let outcomes = examined.outcomes.into_iter();
     let (segments, laws) = (&examined.segments, &examined.pooled);
     let outcomes = outcomes.map(|result| Outcome::new(py, result, segments, laws));
-    Ok((outcomes.collect::<PyResult<_>>()?, remarks))
+    Ok((outcomes.collect(), remarks))
 }
 
 fn chosen(names: &[String]) -> PyResult<Vec<Method>> {

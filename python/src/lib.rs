@@ -18,11 +18,13 @@ use pyo3::prelude::*;
 #[pymodule(name = "_native")]
 mod native {
     #[pymodule_export]
-    use crate::capture::{Capture, Truth, capture_of, read};
+    use crate::capture::state::{restored, state_of};
+    #[pymodule_export]
+    use crate::capture::{Capture, capture_of, read};
     #[pymodule_export]
     use crate::errors::{CaptureError, IdentifyError, StoreError};
     #[pymodule_export]
-    use crate::identify::{Law, Outcome, identify, methods};
+    use crate::identify::{Outcome, identify, methods};
     #[pymodule_export]
     use crate::simulate::{presets, simulate};
     #[pymodule_export]

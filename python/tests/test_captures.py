@@ -1,5 +1,7 @@
 """Captures from files and arrays: the same samples as the program's, errors that say what to do."""
 
+import copy
+import pickle
 import tempfile
 import unittest
 from pathlib import Path
@@ -109,7 +111,27 @@ class Arrays(unittest.TestCase):
         capture = ihd.Capture(v, v, 1e6)
         v[:] = 2
         self.assertEqual(capture.v[0], 1)
-        self.assertIs(capture.v, capture.v)
+        # Their shape and type are the caller's own, their samples the capture's.
+        view = capture.v
+        view.shape = (2, 5)
+        view[0, 1] = 7
+        self.assertEqual(len(capture), 10)
+        self.assertEqual(capture.v.tolist(), [1, 7, *[1] * 8])
+
+    def test_a_copy_is_the_same_capture_with_samples_of_its_own(self) -> None:
+        simulated = ihd.simulate("paper-50", settings={"load": "behavioural", "duration_s": 2e-3})
+        stamped = ihd.read(FORMATS / "plain.npz", swap=True, probe=(2, 3))
+        for capture in (simulated, stamped):
+            for copied in (copy.deepcopy(capture), pickle.loads(pickle.dumps(capture))):
+                for name in ("v", "i", "t"):
+                    np.testing.assert_array_equal(getattr(copied, name), getattr(capture, name))
+                for name in ("name", "fs", "f_sw", "f_mains", "zero_crossing", "full_scale", "metadata", "losses"):
+                    self.assertEqual(getattr(copied, name), getattr(capture, name), name)
+                self.assertFalse(np.shares_memory(copied.v, capture.v))
+                self.assertEqual(copied.truth is None, capture.truth is None)
+        np.testing.assert_array_equal(copy.deepcopy(simulated).truth.R, simulated.truth.R)
+        truth = pickle.loads(pickle.dumps(simulated.truth))
+        np.testing.assert_array_equal(truth.L, simulated.truth.L)
 
     def test_masked_samples_are_missing_ones(self) -> None:
         for dtype in (np.float64, np.float32, np.int16, "u1"):

@@ -1,5 +1,6 @@
 """Identification: equal to the program's to the last digit, judged as it judges."""
 
+import pickle
 import tempfile
 import threading
 import unittest
@@ -100,6 +101,10 @@ class Equality(unittest.TestCase):
 
     def test_options_are_the_programs(self) -> None:
         file = CAPTURES / "noisy.mcap"
+        copied = pickle.loads(pickle.dumps(found))
+        np.testing.assert_array_equal(copied.estimates[0].law.R, law.R)
+        # Equal to itself alone, as arrays have no one truth.
+        self.assertEqual({found, found, copied}, {copied, found})
         capture = ihd.read(file)
         f_sw = capture.f_sw
         words = f"fsw={f_sw},mains=50"
