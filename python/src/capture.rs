@@ -12,12 +12,12 @@ use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError as FileError, OpenOptions};
 use ihd_identify::accuracy::fundamental;
 use ihd_signal::TimeBase;
-use ihd_survey::Hints;
+use ihd_survey::{Hints, StatedRange};
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, ToPyArray};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
-use crate::errors::{CaptureError, value};
+use crate::errors::{CaptureError, in_range, value};
 
 type Singles = Py<PyArray1<f32>>;
 type Doubles = Py<PyArray1<f64>>;
@@ -213,6 +213,9 @@ pub fn read(
     if channels.is_some() && columns.is_some() {
         return Err(value("channels and columns: give one of them"));
     }
+    for ratio in probe.into_iter().flatten() {
+        in_range("probe", ratio, StatedRange::ProbeRatio)?;
+    }
     let [invert_v, invert_i] = inverted(invert)?;
     let options = OpenOptions {
         second,
@@ -225,7 +228,9 @@ pub fn read(
             swap,
         },
         columns: columns.map(|names| names.map(ChannelRef::from)),
-        rate_hz: fs.map(checked_rate).transpose()?,
+        rate_hz: fs
+            .map(|fs| in_range("fs", fs, StatedRange::AboveZero))
+            .transpose()?,
     };
     let read = py.detach(|| salvage_with(&path, &options, &mut |_| ()));
     let failed = |error: FileError| CaptureError::new_err(error.to_string());
@@ -261,13 +266,6 @@ fn parse_units(units: [String; 2]) -> PyResult<[Unit; 2]> {
     Ok([unit(&units[0])?, unit(&units[1])?])
 }
 
-fn checked_rate(fs_hz: f64) -> PyResult<f64> {
-    if fs_hz.is_finite() && fs_hz > 0.0 {
-        return Ok(fs_hz);
-    }
-    Err(value(format!("fs={fs_hz}: must be a number above zero")))
-}
-
 /// Makes a capture of arrays of voltage in volt and current in ampere, with `fs` samples a second from `t0` seconds on.
 #[pyfunction]
 #[pyo3(signature = (v, i, fs, *, t0=0.0, name="arrays"))]
@@ -279,10 +277,8 @@ pub fn capture_of(
     t0: f64,
     name: &str,
 ) -> PyResult<Capture> {
-    let dt_s = 1.0 / checked_rate(fs)?;
-    if !t0.is_finite() {
-        return Err(value(format!("t0={t0}: must be a finite number")));
-    }
+    let dt_s = 1.0 / in_range("fs", fs, StatedRange::AboveZero)?;
+    let t0 = in_range("t0", t0, StatedRange::TimeS)?;
     let (v_v, i_a) = (singles(v, "v")?, singles(i, "i")?);
     if v_v.len() != i_a.len() {
         let text = format!(

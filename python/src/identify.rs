@@ -4,13 +4,13 @@ use ihd_gate::{ExamineOptions, Judgement, MethodResult, Reconstruct, Verdict, ex
 use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, IdentifyOptions, Method};
 use ihd_signal::{Remark, Segment, Severity};
-use ihd_survey::Hints;
 use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
+use ihd_survey::{Hints, StatedRange};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 
 use crate::capture::Capture;
-use crate::errors::{IdentifyError, value};
+use crate::errors::{IdentifyError, in_range, value};
 
 type Doubles = Py<PyArray1<f64>>;
 
@@ -179,14 +179,14 @@ pub fn identify(
     let settings: IdentifyOptions = serde_json::from_str(settings).map_err(value)?;
     settings.pinn.check().map_err(value)?;
     let hints = Hints {
-        f_sw_hz: f_sw,
-        mains_hz: f_mains,
-        zero_crossing_s: zero_crossing,
+        f_sw_hz: stated("f_sw", f_sw, StatedRange::SwitchingHz)?,
+        mains_hz: stated("f_mains", f_mains, StatedRange::MainsHz)?,
+        zero_crossing_s: stated("zero_crossing", zero_crossing, StatedRange::TimeS)?,
         ..capture.get().wiring()
     };
     let sensors = BlindOptions {
         mode: mode(self_calibrate)?,
-        capacitance_f: capacitance,
+        capacitance_f: stated("capacitance", capacitance, StatedRange::AboveZero)?,
     };
     let mut samples = capture.get().to_signal(py)?;
     let examined = py.detach(|| {
@@ -210,6 +210,10 @@ pub fn identify(
     let (segments, laws) = (&examined.segments, &examined.pooled);
     let outcomes = outcomes.map(|result| Outcome::new(py, result, segments, laws));
     Ok((outcomes.collect(), remarks))
+}
+
+fn stated(name: &str, x: Option<f64>, range: StatedRange) -> PyResult<Option<f64>> {
+    x.map(|x| in_range(name, x, range)).transpose()
 }
 
 fn chosen(names: &[String]) -> PyResult<Vec<Method>> {

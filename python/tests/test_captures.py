@@ -75,7 +75,8 @@ class Files(unittest.TestCase):
             empty.touch()
             with self.assertRaises(ihd.CaptureError):
                 ihd.read(empty)
-        for options in [{"invert": "x"}, {"units": ("V", "kg")}, {"fs": 0.0}, {"fs": float("nan")}, {"channels": (1,)}]:
+        wrong = [{"invert": "x"}, {"units": ("V", "kg")}, {"fs": 0.0}, {"fs": float("nan")}, {"channels": (1,)}]
+        for options in [*wrong, {"probe": (0, 1)}, {"probe": (1, float("inf"))}]:
             with self.subTest(options=options), self.assertRaises(ValueError):
                 ihd.read(FORMATS / "keysight.csv", **options)
 

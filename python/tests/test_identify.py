@@ -145,11 +145,16 @@ class Arrays(unittest.TestCase):
         capture = ihd.read(CAPTURES / "noisy.mcap")
         wrong = [
             ({"method": "magic"}, "least-squares"),
+        nan, inf = float("nan"), float("inf")
             ({"preset": "none"}, "hybrid"),
             ({"settings": {"lockn": {}}}, "lockin"),
             ({"self_calibrate": "perhaps"}, "report"),
         ]
         for options, says in wrong:
+            *(({"f_sw": f}, "1 kHz to 1 MHz") for f in (-1.0, 0.0, nan, inf)),
+            *(({"f_mains": f}, "1 Hz to 1 kHz") for f in (0.0, -50.0, nan, inf)),
+            *(({"capacitance": c}, "above zero") for c in (0.0, -1e-6, nan, inf)),
+            *(({"zero_crossing": t}, "finite") for t in (nan, inf)),
             with self.subTest(options=options), self.assertRaisesRegex(ValueError, says):
                 capture.identify(**options)
 

@@ -13,6 +13,7 @@ pub mod channel;
 pub mod clipping;
 pub mod error;
 pub mod finding;
+mod hints;
 pub mod impedance;
 mod lines;
 pub mod mains;
@@ -30,25 +31,11 @@ use self::carrier::CarrierPiece;
 pub use self::channel::ChannelSurvey;
 pub use self::error::SurveyError;
 pub use self::finding::{Channel, Finding, Severity};
+pub use self::hints::{Hints, OutOfRange, StatedRange};
 use self::impedance::{SkewCost, Wiring};
 use self::mains::Mains;
 use self::time::Run;
 use self::track::Track;
-
-/// Values given by the user; they override those stored in the capture.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Hints {
-    /// Switching frequency in hertz, to 10 %.
-    pub f_sw_hz: Option<f64>,
-    /// Mains frequency in hertz.
-    pub mains_hz: Option<f64>,
-    /// Time of a mains zero crossing in seconds.
-    pub zero_crossing_s: Option<f64>,
-    /// `true` if the user has exchanged the channels of the file.
-    pub swapped: bool,
-    /// `true` if the user has changed the sign of one channel.
-    pub inverted: bool,
-}
 
 /// Part of a capture that an estimator can work on.
 #[derive(Clone, Debug, PartialEq, Serialize)]

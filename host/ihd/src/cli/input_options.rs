@@ -1,6 +1,5 @@
 //! Reading of a capture as the user states it: the keys of `--input`.
 
-use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use anyhow::Result;
@@ -8,8 +7,7 @@ use clap::{Args, ValueEnum};
 use ihd_capture::OpenOptions;
 use ihd_capture::channels::{ChannelOptions, ChannelRef};
 use ihd_capture::formats::unit::Unit;
-use ihd_survey::Hints;
-use ihd_survey::mains::SPECIFIED_HZ;
+use ihd_survey::{Hints, StatedRange};
 
 use super::simulate::quantity::{list, quantity};
 
@@ -32,7 +30,7 @@ pub struct InputOptions {
     #[arg(long, value_name = "T,V,I", value_parser = triple, conflicts_with = "channels")]
     columns: Option<[ChannelRef; 3]>,
     /// Factors: ratio of the voltage probe, ampere per volt of the current probe
-    #[arg(long, value_name = "V,I", value_parser = list::<2>)]
+    #[arg(long, value_name = "V,I", value_parser = ratios)]
     probe: Option<[f64; 2]>,
     /// Units of voltage and current, as in mV,mA, instead of the file's
     #[arg(long, value_name = "V,I", value_parser = units)]
@@ -44,7 +42,7 @@ pub struct InputOptions {
     #[arg(long)]
     swap: bool,
     /// Sampling rate in S/s instead of the file's time
-    #[arg(long, value_name = "HZ", value_parser = positive)]
+    #[arg(long, value_name = "HZ", value_parser = above_zero)]
     rate: Option<f64>,
     /// Switching frequency in Hz, instead of the capture's
     #[arg(long, value_name = "HZ", value_parser = switching_hz)]
@@ -56,7 +54,7 @@ pub struct InputOptions {
     #[arg(long, value_name = "S", value_parser = quantity)]
     zero_crossing: Option<f64>,
     /// Value of the resonance capacitor in F (1080n): the gains are checked against it
-    #[arg(long, value_name = "F", value_parser = positive)]
+    #[arg(long, value_name = "F", value_parser = above_zero)]
     resonance_capacitance: Option<f64>,
 }
 
@@ -80,26 +78,30 @@ fn units(text: &str) -> Result<[Unit; 2], String> {
         .ok_or_else(|| format!("`{text}` must be two units with a comma between them, as in mV,A"))
 }
 
-/// Parses a number above zero.
-fn positive(text: &str) -> Result<f64, String> {
-    within(text, f64::MIN_POSITIVE..=f64::MAX, "above zero")
+fn ratios(text: &str) -> Result<[f64; 2], String> {
+    let both = list::<2>(text).map_err(|e| e.to_string())?;
+    let zero = |ratio| StatedRange::ProbeRatio.check(ratio).err();
+    match both.into_iter().find_map(zero) {
+        Some(error) => Err(error.to_string()),
+        None => Ok(both),
+    }
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    within(text, StatedRange::AboveZero)
 }
 
 fn switching_hz(text: &str) -> Result<f64, String> {
-    within(text, 1e3..=1e6, "of 1 kHz to 1 MHz")
+    within(text, StatedRange::SwitchingHz)
 }
 
-/// Parses a frequency at which the survey looks for a zero crossing.
 fn mains_hz(text: &str) -> Result<f64, String> {
-    within(text, SPECIFIED_HZ, "of 1 Hz to 1 kHz")
+    within(text, StatedRange::MainsHz)
 }
 
-fn within(text: &str, range: RangeInclusive<f64>, what: &str) -> Result<f64, String> {
+fn within(text: &str, range: StatedRange) -> Result<f64, String> {
     let number = quantity(text).map_err(|e| e.to_string())?;
-    match range.contains(&number) {
-        true => Ok(number),
-        false => Err(format!("must be a number {what}")),
-    }
+    range.check(number).map_err(|e| e.to_string())
 }
 
 impl InputOptions {

@@ -70,6 +70,7 @@ fn wrong_usage_is_2_whoever_finds_it() {
         ("inspect", "FILE"),
         ("inspect a.mcap --input rate=0", "rate=0"),
         ("inspect a.mcap --input probe=1", "2 numbers"),
+        ("inspect a.mcap --input probe=0,1", "other than zero"),
         ("record", "--out"),
         ("record --out b.mcap --duration 0", "--duration"),
         ("record --out b.mcap --max-size=-1", "--max-size"),
