@@ -18,6 +18,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 use crate::errors::{CaptureError, in_range, value};
+use crate::interrupt::interruptible;
 
 type Singles = Py<PyArray1<f32>>;
 type Doubles = Py<PyArray1<f64>>;
@@ -232,7 +233,7 @@ pub fn read(
             .map(|fs| in_range("fs", fs, StatedRange::AboveZero))
             .transpose()?,
     };
-    let read = py.detach(|| salvage_with(&path, &options, &mut |_| ()));
+    let read = interruptible(py, |look| salvage_with(&path, &options, &mut |_| look()))?;
     let failed = |error: FileError| CaptureError::new_err(error.to_string());
     let SalvagedCapture { capture, losses } = read.map_err(failed)?;
     if capture.is_empty() {

@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 
 use crate::capture::Capture;
 use crate::errors::{IdentifyError, in_range, value};
+use crate::interrupt::interruptible;
 
 type Doubles = Py<PyArray1<f64>>;
 
@@ -189,7 +190,7 @@ pub fn identify(
         capacitance_f: stated("capacitance", capacitance, StatedRange::AboveZero)?,
     };
     let mut samples = capture.get().to_signal(py)?;
-    let examined = py.detach(|| {
+    let examined = interruptible(py, |look| {
         let request = ExamineOptions {
             hints,
             methods: &methods,
@@ -197,8 +198,8 @@ pub fn identify(
             settings: &settings,
             reconstruct: Reconstruct::Errors,
         };
-        examine_taking(&mut samples, &request, &mut |_, _, _| ())
-    });
+        examine_taking(&mut samples, &request, &mut |_, _, _| look())
+    })?;
     let failed = |error: ihd_survey::SurveyError| IdentifyError::new_err(error.to_string());
     let examined = examined.map_err(failed)?;
     // Those that the program prints.

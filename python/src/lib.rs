@@ -9,6 +9,7 @@
 mod capture;
 mod errors;
 mod identify;
+mod interrupt;
 mod simulate;
 mod store;
 
@@ -17,6 +18,9 @@ use pyo3::prelude::*;
 /// Functions and classes behind the package `ihd`; use those of `ihd`.
 #[pymodule(name = "_native")]
 mod native {
+    use numpy::{PyArray1, PyArrayMethods};
+    use pyo3::prelude::*;
+
     #[pymodule_export]
     use crate::capture::state::{restored, state_of};
     #[pymodule_export]
@@ -29,4 +33,12 @@ mod native {
     use crate::simulate::{presets, simulate};
     #[pymodule_export]
     use crate::store::Store;
+
+    /// Loads numpy's interface. In the first call, with ^C pending, it would panic.
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.py().import("numpy")?;
+        let array = PyArray1::<f64>::zeros(module.py(), [0], false);
+        array.try_readonly().map(drop).map_err(crate::errors::value)
+    }
 }

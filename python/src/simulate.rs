@@ -7,6 +7,7 @@ use serde_json::{Map, Value};
 
 use crate::capture::Capture;
 use crate::errors::value;
+use crate::interrupt::interruptible;
 
 /// Names of the presets.
 #[pyfunction]
@@ -28,7 +29,7 @@ pub fn simulate(
     let mut spec = with_settings(CaptureSpec::preset(preset).map_err(value)?, settings)?;
     spec.seed = seed.unwrap_or(spec.seed);
     spec.check().map_err(value)?;
-    let recording = py.detach(|| record(&spec, |_| ())).map_err(value)?;
+    let recording = interruptible(py, |look| record(&spec, |_| look()))?.map_err(value)?;
     let name = format!("ihd simulate {preset}");
     Ok(Capture::new(py, recording.capture(&name)))
 }

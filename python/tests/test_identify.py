@@ -1,6 +1,8 @@
 """Identification: equal to the program's to the last digit, judged as it judges."""
 
 import pickle
+import subprocess
+import sys
 import tempfile
 import threading
 import unittest
@@ -98,13 +100,13 @@ class Equality(unittest.TestCase):
         law = found.estimates[0].law
         assert law is not None
         self.assertTrue(np.all(np.diff(law.i) > 0))
-
-    def test_options_are_the_programs(self) -> None:
-        file = CAPTURES / "noisy.mcap"
         copied = pickle.loads(pickle.dumps(found))
         np.testing.assert_array_equal(copied.estimates[0].law.R, law.R)
         # Equal to itself alone, as arrays have no one truth.
         self.assertEqual({found, found, copied}, {copied, found})
+
+    def test_options_are_the_programs(self) -> None:
+        file = CAPTURES / "noisy.mcap"
         capture = ihd.read(file)
         f_sw = capture.f_sw
         words = f"fsw={f_sw},mains=50"
@@ -143,23 +145,47 @@ class Arrays(unittest.TestCase):
 
     def test_wrong_options_are_refused_with_the_right_ones(self) -> None:
         capture = ihd.read(CAPTURES / "noisy.mcap")
+        nan, inf = float("nan"), float("inf")
         wrong = [
             ({"method": "magic"}, "least-squares"),
-        nan, inf = float("nan"), float("inf")
             ({"preset": "none"}, "hybrid"),
             ({"settings": {"lockn": {}}}, "lockin"),
             ({"self_calibrate": "perhaps"}, "report"),
-        ]
-        for options, says in wrong:
             *(({"f_sw": f}, "1 kHz to 1 MHz") for f in (-1.0, 0.0, nan, inf)),
             *(({"f_mains": f}, "1 Hz to 1 kHz") for f in (0.0, -50.0, nan, inf)),
             *(({"capacitance": c}, "above zero") for c in (0.0, -1e-6, nan, inf)),
             *(({"zero_crossing": t}, "finite") for t in (nan, inf)),
+        ]
+        for options, says in wrong:
             with self.subTest(options=options), self.assertRaisesRegex(ValueError, says):
                 capture.identify(**options)
 
 
+# ^C in the process's first call, then in one that would last for many minutes.
+INTERRUPTED = """
+import os, signal, threading, ihd
+
+def interrupted(compute):
+    threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+    try:
+        compute()
+    except KeyboardInterrupt:
+        print("interrupted")
+
+interrupted(lambda: ihd.simulate(settings={"load": "behavioural", "duration_s": 10.0}))
+capture = ihd.simulate(settings={"load": "behavioural", "duration_s": 20e-3})
+endless = {"pinn": {"config": {"optimiser": "adam", "max_iterations": 10**7, "time_limit_s": 1e6, "tolerance": 0.0}}}
+interrupted(lambda: capture.identify("pinn", settings=endless))
+print(capture.identify("lockin").estimates[0].method)
+"""
+
+
 class Threads(unittest.TestCase):
+    def test_an_interrupt_ends_a_computation(self) -> None:
+        script = [sys.executable, "-c", INTERRUPTED]
+        ended = subprocess.run(script, capture_output=True, text=True, timeout=600)
+        self.assertEqual((ended.stdout.split(), ended.stderr), (["interrupted", "interrupted", "lockin"], ""))
+
     def test_other_threads_run_while_it_computes(self) -> None:
         capture = ihd.read(CAPTURES / "noisy.mcap")
         done = threading.Event()
