@@ -97,6 +97,12 @@ def learn(windows: int, power_w: int = 1100) -> ihd.Window:
         return [next(stream) for _ in range(windows)][-1]
 
 
+def wait_for_telemetry() -> None:
+    """Waits until the store has a second of telemetry, a few seconds after it was."""
+    store = ihd.Store(kitchen().store)
+    wait_until(lambda: len(store.telemetry("bench", minutes=False)["at"]) > 0)
+
+
 def next_event(events, **wanted: object) -> dict:
     """The next event with these values."""
     for event in events:

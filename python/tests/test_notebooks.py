@@ -6,7 +6,7 @@ import unittest
 from unittest import mock
 
 import notebook
-from kitchen import kitchen, learn
+from kitchen import kitchen, learn, wait_for_telemetry
 from program import ROOT
 
 FOLDER = ROOT / "python/notebooks"
@@ -31,6 +31,7 @@ class Notebooks(unittest.TestCase):
     def test_the_stores_notebook_runs_on_a_store(self) -> None:
         for power_w in (700, 1200, 1700):
             learn(2, power_w)
+        wait_for_telemetry()
         with mock.patch.dict(os.environ, IHD_STORE=str(kitchen().store)):
             self.run_notebook(OF_A_STORE, same_text=False)
 

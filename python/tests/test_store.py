@@ -7,7 +7,7 @@ from pathlib import Path
 
 import ihd
 import numpy as np
-from kitchen import kitchen, learn, wait_until
+from kitchen import kitchen, learn, wait_for_telemetry
 from program import ihd as program
 from program import ihd_json
 
@@ -16,9 +16,8 @@ class Stored(unittest.TestCase):
     @classmethod
     def setUpClass(cls) -> None:
         cls.window = learn(3)
-        cls.store = store = ihd.Store(kitchen().store)
-        # Telemetry is stored a few seconds later.
-        wait_until(lambda: len(store.telemetry("bench", minutes=False)["at"]) > 0)
+        cls.store = ihd.Store(kitchen().store)
+        wait_for_telemetry()
 
     def test_results_are_those_that_the_program_lists(self) -> None:
         results = self.store.results("bench")
