@@ -122,6 +122,8 @@ class Device:
 
     def window(self, boot: int | None = None, seq: int | None = None, columns: int = 4000) -> Window:
         """The newest window, or the one of a boot and number."""
+        if (boot is None) != (seq is None):
+            raise ValueError("boot and seq: give both, or none")
         query: dict[str, int] = {"columns": columns}
         if boot is not None and seq is not None:
             query.update(boot=boot, seq=seq)

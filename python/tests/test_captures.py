@@ -85,21 +85,21 @@ class Arrays(unittest.TestCase):
     def test_every_layout_and_type_gives_the_same_capture(self) -> None:
         x = np.linspace(-300, 300, 1001)
         interleaved = np.stack([x, x / 10], axis=1)
-        layouts = [
-            (x, x / 10),
-            (x.astype(np.float32), (x / 10).astype(np.float32)),
         # Of 13 bytes, no multiple of a sample's size.
         packed = np.zeros(len(x), dtype=[("flag", "u1"), ("v", "f8"), ("i", "f4")])
         packed["v"], packed["i"] = x, x / 10
+        layouts = [
+            (x, x / 10),
+            (x.astype(np.float32), (x / 10).astype(np.float32)),
             (interleaved[:, 0], interleaved[:, 1]),
             (x[::-1][::-1], (x / 10).tolist()),
             (x.astype(">f8"), np.ascontiguousarray(x / 10, dtype="<f4")),
             (np.broadcast_to(x, (1, len(x)))[0], x / 10),
+            (packed["v"], packed["i"]),
+            (packed[::-1]["v"][::-1], x / 10),
         ]
         for v, i in layouts:
             capture = ihd.Capture(v, i, 1e6, t0=-1e-3)
-            (packed["v"], packed["i"]),
-            (packed[::-1]["v"][::-1], x / 10),
             np.testing.assert_array_equal(capture.v, x.astype(np.float32))
             np.testing.assert_array_equal(capture.i, (x / 10).astype(np.float32))
             self.assertEqual(capture.t[0], -1e-3)

@@ -39,6 +39,11 @@ class Windows(unittest.TestCase):
             true = np.interp(window.network.t[middle], window.truth.t, window.truth.R)
             np.testing.assert_allclose(window.network.R[middle], true, rtol=0.05)
         self.assertEqual(bench.results(limit=1)[0]["device"], "bench")
+        for half in ({"boot": first.boot}, {"seq": first.seq}):
+            with self.assertRaisesRegex(ValueError, "give both"):
+                bench.window(**half)
+        self.assertNotEqual(first, second)
+        self.assertEqual(len({first, second, first}), 2)
         self.assertEqual(bench.report()["asked_by_daemon_w"], 0)
 
     def test_telemetry_is_live(self) -> None:
