@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use ihd_model::{PotCurve, PotPoint, PotTemperature};
 use ihd_shared::wire::messages::{Pot, Telemetry};
-use ihd_thermal::{KnownAlloys, PotEvent, ThermalHalfCycle, Thermometer};
+use ihd_thermal::{GAP_S, KnownAlloys, PotEvent, ThermalHalfCycle, Thermometer};
 
 /// Interval between two points of the curve, in milliseconds.
 const POINT_MS: i64 = 2_000;
@@ -19,9 +19,6 @@ const HALF_CYCLE_S: f64 = 0.01;
 
 /// Half-cycles of mains from 45 to 66 Hz, in seconds; other values are ignored.
 const HALF_CYCLES_S: std::ops::RangeInclusive<f64> = 7.5e-3..=11.2e-3;
-
-/// Largest gap in the count of half-cycles: ten minutes. Beyond it tracking restarts.
-const MAX_GAP: u32 = 60_000;
 
 /// Temperature tracker of the pot on one coil.
 #[derive(Debug)]
@@ -116,11 +113,12 @@ impl PotTracker {
                 if passed == 0 || passed > u32::MAX / 2 {
                     return Vec::new();
                 }
-                if passed > MAX_GAP {
+                let passed_s = f64::from(passed) * self.half_cycle_s;
+                if passed_s > GAP_S {
                     self.reset();
                     0.0
                 } else {
-                    t_s + f64::from(passed) * self.half_cycle_s
+                    t_s + passed_s
                 }
             }
         };

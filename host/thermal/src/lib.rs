@@ -22,4 +22,4 @@ pub mod turnover;
 pub use alloy::{ImpossibleAlloys, KnownAlloys};
 pub use batch::ThermalHalfCycle;
 pub use metal::MetalLaw;
-pub use thermometer::{PotEvent, PotReading, Thermometer};
+pub use thermometer::{GAP_S, PotEvent, PotReading, Thermometer};

@@ -11,8 +11,8 @@ use crate::placement::{PlacedPot, Placement};
 use crate::prior::HeatPrior;
 use crate::turnover::TurnoverDetector;
 
-/// Gap in seconds between half-cycles that ends a run: the device was away, or its clock was reset.
-const GAP_S: f64 = 120.0;
+/// Gap in seconds between half-cycles that ends a run: what happened to pot and power meanwhile is unknown.
+pub const GAP_S: f64 = 120.0;
 
 /// Period in seconds in which the curve is updated.
 const TICK_S: f64 = 0.5;
@@ -166,16 +166,18 @@ impl Thermometer {
         if !h.t_s.is_finite() {
             return;
         }
-        let dt_s = self.last.map_or(0.0, |last| h.t_s - last.t_s);
+        let mut dt_s = self.last.map_or(0.0, |last| h.t_s - last.t_s);
         if !(0.0..=GAP_S).contains(&dt_s) {
             self.begin_anew();
+            // The heat before belongs to the placement that ended.
+            dt_s = 0.0;
         }
         // The power is held over lost half-cycles.
         let power_w = match h.power_w.is_finite() {
             true => h.power_w.max(0.0),
             false => 0.0,
         };
-        let energy_j = power_w * dt_s.clamp(0.0, GAP_S);
+        let energy_j = power_w * dt_s;
         self.last = Some(*h);
         let batch = self.batches.push(h);
         match &mut self.tracked {

@@ -263,6 +263,32 @@ fn what_is_no_measurement_changes_nothing_and_another_time_begins_anew() {
 }
 
 #[test]
+fn heat_of_a_gap_is_not_that_of_the_pot_after_it() {
+    let mut k = Kitchen::new("ferritic-18", "water-2", 5).cook(20.0, |_, _| 1500.0);
+    k.thermometer.take_events();
+    let first = seen(&k.cooking.half_cycle());
+    for (gap_s, is_new) in [(100.0, false), (130.0, true), (590.0, true)] {
+        let mut after = k.thermometer.clone();
+        for n in 0..100 {
+            after.push(&ThermalHalfCycle {
+                t_s: first.t_s + gap_s + 0.01 * f64::from(n),
+                ..first
+            });
+        }
+        let placed = after.take_events();
+        let is_placed = placed.iter().any(|e| matches!(e, PotEvent::Placed { .. }));
+        let reading = after.reading().unwrap();
+        println!("{gap_s} s: {reading:?}");
+        assert_eq!(is_placed, is_new, "{gap_s} s");
+        assert!(
+            !is_new || reading.rise_k.abs() < 10.0,
+            "{gap_s} s: {reading:?}"
+        );
+        assert!(!reading.overheats);
+    }
+}
+
+#[test]
 fn a_boil_after_a_long_simmer_is_found() {
     let k = Kitchen::new("ferritic-21", "water-2", 9)
         .cook(3300.0, |t_s, _| if t_s < 2500.0 { 200.0 } else { 1500.0 });
