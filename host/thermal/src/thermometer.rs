@@ -116,6 +116,8 @@ struct TrackedPot {
     contents: ContentsFit,
     /// Last rise of the boiling point in kelvin; `None` if nothing boiled.
     boil_k: Option<f64>,
+    /// Times in seconds at which the pot was put on, and of the last tick.
+    began_s: f64,
     tick_s: f64,
     /// Heat in joule since the last tick, and since the pot was put on.
     energy_j: f64,
@@ -239,6 +241,7 @@ impl Thermometer {
             placed,
             contents,
             boil_k: None,
+            began_s: t_s,
             tick_s: t_s,
             energy_j: 0.0,
             heat_j: self.energy_j,
@@ -260,7 +263,8 @@ impl Thermometer {
         let (rise_k, filter_k) = tracked.filter.rise_k();
         let (lift_mm, lift_sigma_mm) = tracked.filter.lift_mm();
         let alloy_k = tracked.filter.metal().alloy_sigma_k(rise_k, tracked.spread);
-        let prior = HeatPrior::new(tracked.heat_j, tracked.filter.base_j_per_k());
+        let since_s = tracked.tick_s - tracked.began_s;
+        let prior = HeatPrior::new(tracked.heat_j, since_s, tracked.filter.base_j_per_k());
         let (rise_k, sigma_k) = prior.posterior_k((rise_k, filter_k.hypot(alloy_k)));
         Some(PotReading {
             t_s: tracked.tick_s,
