@@ -152,8 +152,9 @@ impl ThermalFilter {
         &self.metal
     }
 
-    /// Sets the rise to the one with the same R and L on the other side of the turn.
-    pub fn set_rise(&mut self, rise_k: f64) {
+    /// Sets the rise to the one with the same R and L on the other side of the turn, and the alloy's effect that the turn has shown.
+    pub fn change_side(&mut self, rise_k: f64, metal: MetalLaw) {
+        self.metal = metal;
         let off = rise_k - self.x[0];
         self.x[0] = rise_k;
         self.x[1] = -self.x[1];

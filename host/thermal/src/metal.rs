@@ -11,7 +11,7 @@ pub struct MetalLaw {
     pub resistivity_per_k: f64,
     /// Curie point less the start's temperature in kelvin; `None` for a metal that is not ferromagnetic.
     pub curie_rise_k: Option<f64>,
-    /// ln α and ln s of the class ([`PotModel`]) at room temperature.
+    /// ln α of the class ([`PotModel`](ihd_map::PotModel)) at room temperature.
     pub ln_alpha: f64,
     /// ln s of the class at room temperature.
     pub ln_s: f64,
@@ -21,6 +21,10 @@ pub struct MetalLaw {
 
 /// Largest deviation in kelvin: where the slope is zero, both sides of the turn are this far apart.
 const MAX_SIGMA_K: f64 = 60.0;
+
+/// Range of rises in kelvin: metals on a hob are neither frozen nor molten.
+const COLDEST_K: f64 = -200.0;
+const HOTTEST_K: f64 = 1000.0;
 
 impl MetalLaw {
     /// Ferritic stainless steel (1.4016: 0.60 µΩm at 20 °C, 0.66 at 100 °C in data sheets of mills; Curie point 680 °C).
@@ -51,8 +55,7 @@ impl MetalLaw {
     /// Change of ln s by a rise in kelvin, and its slope in 1/K. s² ∝ resistivity · saturation, and the saturation falls as
     /// 1 − (rise/Curie rise)², so that the slope changes sign near 200 K.
     pub fn ln_s_change(&self, rise_k: f64) -> (f64, f64) {
-        // Metals on a hob are neither frozen nor molten.
-        let rise_k = rise_k.clamp(-200.0, 1000.0);
+        let rise_k = rise_k.clamp(COLDEST_K, HOTTEST_K);
         let resistivity = (1.0 + self.resistivity_per_k * rise_k).max(0.1);
         let mut change = 0.5 * resistivity.ln();
         let mut slope = 0.5 * self.resistivity_per_k / resistivity;
@@ -88,11 +91,45 @@ impl MetalLaw {
             ((1.0 + 3.0 * a * a * c * c).sqrt() - 1.0) / (3.0 * a)
         })
     }
+
+    /// Rise in kelvin at which ln s has changed by `change`: below the turn, or beyond it. At the turn if it never changes by as much.
+    pub fn rise_with_change_k(&self, change: f64, beyond: bool) -> f64 {
+        let turn_k = self.turning_rise_k();
+        // Both sides are monotone, so that bisection finds it.
+        let (mut low, mut high) = match beyond {
+            true => (turn_k, turn_k + 400.0),
+            false => (COLDEST_K, turn_k),
+        };
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if (self.ln_s_change(middle).0 > change) == beyond {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        0.5 * (low + high)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_same_change_is_on_both_sides_of_the_turn() {
+        for metal in MetalLaw::ALL {
+            for rise_k in [-30.0, 120.0, 180.0, 320.0] {
+                let (change, turn_k) = (metal.ln_s_change(rise_k).0, metal.turning_rise_k());
+                let sides = [false, true].map(|beyond| metal.rise_with_change_k(change, beyond));
+                assert!(sides[0] < turn_k && turn_k < sides[1], "{sides:?}");
+                assert!(sides.iter().any(|k| (k - rise_k).abs() < 1e-6), "{sides:?}");
+                for side_k in sides {
+                    assert!((metal.ln_s_change(side_k).0 - change).abs() < 1e-9);
+                }
+            }
+        }
+    }
 
     #[test]
     fn the_slope_is_the_derivative_and_turns_where_it_says() {

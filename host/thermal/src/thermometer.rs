@@ -9,7 +9,7 @@ use crate::filter::{PotMotion, ThermalFilter};
 use crate::metal::MetalLaw;
 use crate::placement::{PlacedPot, Placement};
 use crate::prior::HeatPrior;
-use crate::turnover::TurnoverDetector;
+use crate::turnover::{TurnoverDetector, TurnoverInput};
 
 /// Gap in seconds between half-cycles that ends a run: what happened to pot and power meanwhile is unknown.
 pub const GAP_S: f64 = 120.0;
@@ -265,7 +265,8 @@ impl Thermometer {
         let alloy_k = tracked.filter.metal().alloy_sigma_k(rise_k, tracked.spread);
         let since_s = tracked.tick_s - tracked.began_s;
         let prior = HeatPrior::new(tracked.heat_j, since_s, tracked.filter.base_j_per_k());
-        let (rise_k, sigma_k) = prior.posterior_k((rise_k, filter_k.hypot(alloy_k)));
+        let sigma_k = filter_k.hypot(alloy_k).hypot(tracked.other_side_k(rise_k));
+        let (rise_k, sigma_k) = prior.posterior_k((rise_k, sigma_k));
         Some(PotReading {
             t_s: tracked.tick_s,
             rise_k,
@@ -307,12 +308,19 @@ impl TrackedPot {
     fn tick(&mut self, t_s: f64, events: &mut Vec<PotEvent>) {
         self.tick_s = t_s;
         self.filter.advance(t_s, self.mean_w);
-        let (rise_k, _) = self.filter.rise_k();
-        let across = self
-            .turnover
-            .update(self.filter.metal(), t_s, rise_k, self.mean_w);
-        if let Some(rise_k) = across {
-            self.filter.set_rise(rise_k);
+        let (rise_k, sigma_k) = self.filter.rise_k();
+        let metal = *self.filter.metal();
+        let now = TurnoverInput {
+            t_s,
+            rise_k,
+            sigma_k,
+            power_w: self.mean_w,
+            base_j_per_k: self.filter.base_j_per_k(),
+            spread: self.spread,
+        };
+        if let Some(change) = self.turnover.update(&metal, &now) {
+            let alloy = metal.with_effect(change.effect * metal.effect);
+            self.filter.change_side(change.rise_k, alloy);
         }
         let (rise_k, sigma_k) = self.filter.rise_k();
         self.check_overheating(rise_k, sigma_k, events);
@@ -322,7 +330,8 @@ impl TrackedPot {
             (self.bubbles, self.boils) = (false, false);
             return;
         }
-        let known = (sigma_k < UNKNOWN_K).then_some(rise_k);
+        let is_known = sigma_k < UNKNOWN_K && !self.turnover.is_in_doubt();
+        let known = is_known.then_some(rise_k);
         self.contents.push(t_s, energy_j, known);
         let state = self.contents.state();
         if state.bubbles && !self.bubbles {
@@ -334,6 +343,17 @@ impl TrackedPot {
         }
         self.boils = state.boils;
         self.boil_k = self.contents.boiling_point_k().or(self.boil_k);
+    }
+
+    /// Distance in kelvin to the rise with the same R and L on the other side of the turn, if the pot may be there; else 0.
+    fn other_side_k(&self, rise_k: f64) -> f64 {
+        if !self.turnover.is_in_doubt() {
+            return 0.0;
+        }
+        let metal = self.filter.metal();
+        let to_beyond = !self.turnover.is_beyond();
+        let other_k = metal.rise_with_change_k(metal.ln_s_change(rise_k).0, to_beyond);
+        (other_k - rise_k).abs()
     }
 
     fn check_overheating(&mut self, rise_k: f64, sigma_k: f64, events: &mut Vec<PotEvent>) {

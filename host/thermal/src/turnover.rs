@@ -1,27 +1,92 @@
 //! Detection of the turnover: the side of the maximum of R and L over temperature on which a pot is.
 //!
 //! R and L grow with heat up to a rise of some 200 K and fall beyond it, so that the same R and L belong to two temperatures. The filter
-//! alone would bounce off the turn from both sides. A base with constant power does not cool down slowly by itself, and one with less
-//! power does not slowly warm up. A slow reversal under such a power therefore means that the turn was passed. A quick one (cold food,
-//! a new pot) does not.
+//! alone would bounce off the turn from both sides. What it shows as cooling is judged against the heat: a base that goes on warming as
+//! it did before comes down the other side about as fast as it rose. A fall that the heat does not explain has another cause (cold food).
+//! Where both are possible, the pot's side is in doubt until ΔT rises again or falls below 0 in spite of the heat.
+
+use std::collections::VecDeque;
 
 use crate::metal::MetalLaw;
+use crate::prior::CAPACITY_MARGIN;
 
 /// Distance of ΔT from its extreme, in kelvin, that noise does not explain.
 const BACK_K: f64 = 6.0;
 
-/// Least duration of the reversal in seconds: cold food cools a base as much within some seconds.
+/// Duration of a reversal in seconds that near the turn needs no other proof: cold food cools a base as much within some seconds.
 const SLOW_S: f64 = 12.0;
 
-/// Least effect of heat on ln s at the extreme, over its maximum, for an extreme that may be the turn. The rest allows for another
-/// alloy of the class and the filter's own error.
+/// Largest fall over what the base warmed meanwhile. Near the turn the filter lags, first behind the rise and then behind the fall.
+const MAX_FALL: f64 = 2.0;
+
+/// Time in seconds before the extreme over which the rate of warming counts: at the turn itself the filter has none.
+const RATE_S: f64 = 40.0;
+
+/// Least effect of heat on ln s at the extreme, over its maximum, for an extreme that is near the turn. The rest allows for the filter's
+/// own error.
 const MIN_EFFECT_SHARE: f64 = 0.95;
+
+/// Standard deviations of the alloy's effect by which a turn may lie lower.
+const ALLOY_SIGMAS: f64 = 2.0;
+
+/// ΔT in kelvin, less three standard deviations, below which a heated pot is no colder than when it was put on but beyond the turn.
+const BELOW_START_K: f64 = -15.0;
+
+/// Fall of ΔT beyond the turn under undiminished power, in kelvin, that shows that the pot is not there.
+const COOLED_K: f64 = 18.0;
 
 /// Power over that of the extreme: least value of constant heating, and largest value of less heating.
 const POWER: (f64, f64) = (0.95, 0.5);
 
 /// Time constant of the mean power in seconds.
 const POWER_S: f64 = 15.0;
+
+/// ΔT with its standard deviation, and what heats the pot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TurnoverInput {
+    /// Time in seconds.
+    pub t_s: f64,
+    /// ΔT in kelvin on the present side.
+    pub rise_k: f64,
+    /// Standard deviation of ΔT in kelvin, without the alloy's.
+    pub sigma_k: f64,
+    /// Mean power in watt.
+    pub power_w: f64,
+    /// Heat capacity of the base in J/K.
+    pub base_j_per_k: f64,
+    /// Relative standard deviation of the alloy's effect.
+    pub spread: f64,
+}
+
+/// Change of the side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SideChange {
+    /// ΔT in kelvin on the other side.
+    pub rise_k: f64,
+    /// Effect of heat over that of the law so far: the extreme is the alloy's maximum.
+    pub effect: f64,
+}
+
+/// Largest ΔT, or least beyond the turn.
+#[derive(Clone, Copy, Debug)]
+struct Extreme {
+    rise_k: f64,
+    t_s: f64,
+    power_w: f64,
+    /// Rate in K/s at which ΔT rose before.
+    rate: f64,
+    /// Heat in joule since then.
+    heat_j: f64,
+}
+
+/// Reversal whose cause is another one, or not known.
+#[derive(Clone, Copy, Debug)]
+struct Reversal {
+    extreme: Extreme,
+    /// Least ΔT since, or largest beyond the turn.
+    least_k: f64,
+    in_doubt: bool,
+}
 
 /// Detector of the passage of the turn, from ΔT and power.
 #[derive(Clone, Debug, Default)]
@@ -31,10 +96,12 @@ pub struct TurnoverDetector {
     mean_w: f64,
     /// Power in watt at which the turn was passed.
     passed_w: f64,
-    /// Least ΔT since a reversal by another cause, or largest beyond the turn; `None` if there was none.
-    waits: Option<f64>,
-    /// Largest ΔT, or least beyond the turn, with its time and power.
-    extreme: Option<(f64, f64, f64)>,
+    /// Largest ΔT beyond the turn.
+    hottest_k: f64,
+    extreme: Option<Extreme>,
+    reversal: Option<Reversal>,
+    /// Times and ΔT before the extreme.
+    history: VecDeque<(f64, f64)>,
 }
 
 impl TurnoverDetector {
@@ -43,103 +110,198 @@ impl TurnoverDetector {
         self.beyond
     }
 
-    /// Adds ΔT and power at a time; returns ΔT on the other side if the turn was passed, else `None`.
-    pub fn update(&mut self, metal: &MetalLaw, t_s: f64, rise_k: f64, power_w: f64) -> Option<f64> {
+    /// Returns `true` if the pot may be on either side.
+    pub fn is_in_doubt(&self) -> bool {
+        self.reversal.is_some_and(|r| r.in_doubt)
+    }
+
+    /// Adds ΔT and power at a time; returns ΔT on the other side if the pot is there, else `None`.
+    pub fn update(&mut self, metal: &MetalLaw, now: &TurnoverInput) -> Option<SideChange> {
+        let TurnoverInput { t_s, rise_k, .. } = *now;
         let dt_s = self.last_s.map_or(0.0, |last_s| t_s - last_s).max(0.0);
         self.last_s = Some(t_s);
-        let share = 1.0 - (-dt_s / POWER_S).exp();
-        self.mean_w += share * (power_w - self.mean_w);
+        self.mean_w += (1.0 - (-dt_s / POWER_S).exp()) * (now.power_w - self.mean_w);
+        let rate = self.rate(t_s, rise_k);
+        if !metal.turning_rise_k().is_finite() {
+            return None;
+        }
+        if self.beyond {
+            self.hottest_k = self.hottest_k.max(rise_k);
+            let is_heated = self.mean_w >= POWER.0 * self.passed_w;
+            if is_heated && self.hottest_k - rise_k > COOLED_K {
+                return Some(self.change_side(metal, rise_k, 1.0));
+            }
+        }
         // All is mirrored beyond the turn.
         let sign = if self.beyond { -1.0 } else { 1.0 };
-        if let Some(least_k) = self.waits {
-            // Another cause reversed it: extremes count only once ΔT rises again.
-            self.waits = Some(if sign * rise_k < sign * least_k {
-                rise_k
-            } else {
-                least_k
-            });
-            if sign * (rise_k - least_k) < BACK_K {
+        if let Some(mut reversal) = self.reversal {
+            reversal.extreme.heat_j += now.power_w * dt_s;
+            if sign * rise_k < sign * reversal.least_k {
+                reversal.least_k = rise_k;
+            }
+            self.reversal = Some(reversal);
+            if reversal.in_doubt
+                && let Some(share) = self.share_beyond(metal, now, &reversal.extreme)
+            {
+                return Some(self.pass(metal, now, &reversal.extreme, share));
+            }
+            if sign * (rise_k - reversal.least_k) < BACK_K {
                 return None;
             }
-            (self.waits, self.extreme) = (None, None);
+            // ΔT rises again: extremes count anew.
+            (self.reversal, self.extreme) = (None, None);
         }
-        if self
-            .extreme
-            .is_none_or(|(extreme_k, ..)| sign * (rise_k - extreme_k) >= 0.0)
-        {
-            self.extreme = Some((rise_k, t_s, self.mean_w));
-            return None;
-        }
-        let (extreme_k, at_s, then_w) = self.extreme?;
-        if sign * (extreme_k - rise_k) < BACK_K {
-            return None;
-        }
-        let turn_k = metal.turning_rise_k();
-        let near = metal.ln_s_change(extreme_k).0 > MIN_EFFECT_SHARE * metal.ln_s_change(turn_k).0;
-        let fits = match self.beyond {
-            false => self.mean_w >= POWER.0 * then_w && then_w > 0.0,
-            true => self.mean_w <= POWER.1 * self.passed_w,
+        let here = Extreme {
+            rise_k,
+            t_s,
+            power_w: self.mean_w,
+            rate,
+            heat_j: 0.0,
         };
-        if turn_k.is_finite() && near && fits && t_s - at_s > SLOW_S {
-            self.beyond = !self.beyond;
-            self.passed_w = then_w;
-            let there_k = mirrored(metal, rise_k);
-            self.extreme = None;
-            return Some(there_k);
+        let extreme = self.extreme.get_or_insert(here);
+        if sign * (rise_k - extreme.rise_k) >= 0.0 {
+            *extreme = here;
+            return None;
         }
-        self.waits = Some(rise_k);
+        extreme.heat_j += now.power_w * dt_s;
+        let extreme = *extreme;
+        if sign * (extreme.rise_k - rise_k) < BACK_K {
+            return None;
+        }
+        self.judge(metal, now, extreme)
+    }
+
+    /// Judges a reversal by [`BACK_K`].
+    fn judge(
+        &mut self,
+        metal: &MetalLaw,
+        now: &TurnoverInput,
+        extreme: Extreme,
+    ) -> Option<SideChange> {
+        let is_slow = share(metal, &extreme) > MIN_EFFECT_SHARE && now.t_s - extreme.t_s > SLOW_S;
+        if self.beyond {
+            if is_slow && self.mean_w <= POWER.1 * self.passed_w {
+                return Some(self.change_side(metal, now.rise_k, 1.0));
+            }
+            self.wait(now, extreme, false);
+            return None;
+        }
+        if is_slow && self.is_heated(&extreme) {
+            return Some(self.pass(metal, now, &extreme, share(metal, &extreme)));
+        }
+        if let Some(share) = self.share_beyond(metal, now, &extreme) {
+            return Some(self.pass(metal, now, &extreme, share));
+        }
+        let may_be = self.is_heated(&extreme)
+            && extreme.rise_k - now.rise_k < CAPACITY_MARGIN * extreme.heat_j / now.base_j_per_k
+            && (is_near(metal, now, &extreme) || is_mirrored(now, &extreme));
+        self.wait(now, extreme, may_be);
         None
+    }
+
+    /// Effect at the extreme over the law's maximum if the pot passed the turn there; else `None`.
+    fn share_beyond(
+        &self,
+        metal: &MetalLaw,
+        now: &TurnoverInput,
+        extreme: &Extreme,
+    ) -> Option<f64> {
+        if self.beyond || !self.is_heated(extreme) {
+            return None;
+        }
+        if is_near(metal, now, extreme) && is_mirrored(now, extreme) {
+            return Some(share(metal, extreme));
+        }
+        // Whatever the pot's temperature was when it was put on.
+        let is_below_start = now.rise_k + 3.0 * now.sigma_k < BELOW_START_K;
+        is_below_start.then_some(1.0)
+    }
+
+    fn is_heated(&self, extreme: &Extreme) -> bool {
+        extreme.power_w > 0.0 && self.mean_w >= POWER.0 * extreme.power_w
+    }
+
+    fn pass(
+        &mut self,
+        metal: &MetalLaw,
+        now: &TurnoverInput,
+        extreme: &Extreme,
+        share: f64,
+    ) -> SideChange {
+        self.passed_w = extreme.power_w;
+        self.change_side(metal, now.rise_k, share)
+    }
+
+    /// Rate in K/s over the last seconds.
+    fn rate(&mut self, t_s: f64, rise_k: f64) -> f64 {
+        self.history.push_back((t_s, rise_k));
+        while self
+            .history
+            .front()
+            .is_some_and(|(at_s, _)| t_s - at_s > RATE_S)
+        {
+            self.history.pop_front();
+        }
+        let (at_s, before_k) = self.history.front().copied().unwrap_or((t_s, rise_k));
+        (rise_k - before_k) / (t_s - at_s).max(1.0)
+    }
+
+    fn wait(&mut self, now: &TurnoverInput, extreme: Extreme, in_doubt: bool) {
+        self.reversal = Some(Reversal {
+            extreme,
+            least_k: now.rise_k,
+            in_doubt,
+        });
+    }
+
+    fn change_side(&mut self, metal: &MetalLaw, rise_k: f64, share: f64) -> SideChange {
+        self.beyond = !self.beyond;
+        (self.extreme, self.reversal) = (None, None);
+        self.history.clear();
+        let effect = share.min(1.0);
+        let alloy = metal.with_effect(effect * metal.effect);
+        let rise_k = alloy.rise_with_change_k(metal.ln_s_change(rise_k).0, self.beyond);
+        self.hottest_k = rise_k;
+        SideChange { rise_k, effect }
     }
 }
 
-/// Rise on the other side of the turn with the same effect.
-fn mirrored(metal: &MetalLaw, rise_k: f64) -> f64 {
-    let turn_k = metal.turning_rise_k();
-    let effect = metal.ln_s_change(rise_k).0;
-    // Both sides are monotone, so that bisection finds it.
-    let (mut low, mut high) = match rise_k < turn_k {
-        true => (turn_k, turn_k + 400.0),
-        false => (0.0, turn_k),
-    };
-    let falls = rise_k < turn_k;
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        let above = metal.ln_s_change(middle).0 > effect;
-        if above == falls {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-    0.5 * (low + high)
+/// Effect of heat at the extreme over the law's maximum.
+fn share(metal: &MetalLaw, extreme: &Extreme) -> f64 {
+    metal.ln_s_change(extreme.rise_k).0 / metal.ln_s_change(metal.turning_rise_k()).0
+}
+
+/// Returns `true` if the extreme may be the turn of an alloy of this class.
+fn is_near(metal: &MetalLaw, now: &TurnoverInput, extreme: &Extreme) -> bool {
+    share(metal, extreme) > 1.0 - ALLOY_SIGMAS * now.spread.min(MetalLaw::SPREAD)
+}
+
+/// Returns `true` if ΔT falls no faster than the base warmed before, and by what the power has changed.
+fn is_mirrored(now: &TurnoverInput, extreme: &Extreme) -> bool {
+    let lasted_s = now.t_s - extreme.t_s;
+    let more_k = (extreme.heat_j - extreme.power_w * lasted_s) / now.base_j_per_k;
+    extreme.rise_k - now.rise_k < MAX_FALL * (extreme.rate * lasted_s + more_k)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_other_side_has_the_same_effect() {
-        for metal in MetalLaw::ALL {
-            for rise_k in [120.0, 180.0, 320.0] {
-                let other_k = mirrored(&metal, rise_k);
-                let turn_k = metal.turning_rise_k();
-                assert!((rise_k < turn_k) == (other_k > turn_k));
-                let effect = |k| metal.ln_s_change(k).0;
-                assert!(
-                    (effect(rise_k) - effect(other_k)).abs() < 1e-9,
-                    "{rise_k} {other_k}"
-                );
-            }
-        }
-    }
-
     /// Result for a curve of ΔT at 1 Hz.
     fn passed(curve: impl Fn(f64) -> f64, power_w: impl Fn(f64) -> f64) -> Option<f64> {
         let mut turnover = TurnoverDetector::default();
         (0..300).find_map(|t| {
             let t_s = f64::from(t);
-            turnover.update(&MetalLaw::FERRITIC, t_s, curve(t_s), power_w(t_s))
+            let now = TurnoverInput {
+                t_s,
+                rise_k: curve(t_s),
+                sigma_k: 3.0,
+                power_w: power_w(t_s),
+                base_j_per_k: 545.0,
+                spread: MetalLaw::SPREAD,
+            };
+            let change = turnover.update(&MetalLaw::FERRITIC, &now);
+            change.map(|change| change.rise_k)
         })
     }
 
@@ -155,7 +317,37 @@ mod tests {
         // Cold food.
         let food = |t_s: f64| 176.0 - 1.5 * (t_s - 150.0).clamp(0.0, 30.0);
         assert_eq!(passed(food, |_| 1000.0), None);
-        // Far from the turn.
-        assert_eq!(passed(|t_s| bounce(t_s) - 100.0, |_| 1000.0), None);
+        // Far from the turn, and never colder than when it was put on.
+        assert_eq!(
+            passed(|t_s| (bounce(t_s) - 100.0).max(0.0), |_| 1000.0),
+            None
+        );
+    }
+
+    #[test]
+    fn a_turn_is_found_however_fast_the_base_passes_it() {
+        let turn_k = MetalLaw::FERRITIC.turning_rise_k();
+        for rate in [0.2, 0.5, 0.7, 1.0, 2.0, 3.5] {
+            let curve = |t_s: f64| turn_k - (rate * t_s - turn_k).abs();
+            let heat = |_| 100.0 + 600.0 * rate;
+            let seconds = (1.3 * turn_k / rate) as u32;
+            let mut turnover = TurnoverDetector::default();
+            let found = (0..2 * seconds).find_map(|k| {
+                let t_s = 0.5 * f64::from(k);
+                let now = TurnoverInput {
+                    t_s,
+                    rise_k: curve(t_s),
+                    sigma_k: 3.0,
+                    power_w: heat(t_s),
+                    base_j_per_k: 545.0,
+                    spread: MetalLaw::SPREAD,
+                };
+                let change = turnover.update(&MetalLaw::FERRITIC, &now)?;
+                Some((rate * t_s, change.rise_k))
+            });
+            let (truth_k, found_k) = found.unwrap_or_else(|| panic!("{rate} K/s"));
+            assert!(truth_k < turn_k + 12.0, "{rate} K/s: {truth_k}");
+            assert!((found_k - truth_k).abs() < 12.0, "{rate} K/s: {found_k}");
+        }
     }
 }

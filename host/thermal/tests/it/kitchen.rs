@@ -233,6 +233,63 @@ fn an_empty_pot_overheats_and_passes_the_turn() {
     );
 }
 
+/// Empty pots of both metals at these powers, heated by 300 K: overheating is reported before 60 K beyond the turn, and ΔT is right in the end.
+fn overheat(powers_w: &[f64], seeds: std::ops::RangeInclusive<u64>, alloys: &[f64]) {
+    for (pot, latest_k) in [
+        ("ferritic-18", 245.0),
+        ("ferritic-21", 245.0),
+        ("cast-iron-21", 305.0),
+    ] {
+        for (power_w, seed) in powers_w
+            .iter()
+            .flat_map(|w| seeds.clone().map(move |s| (*w, s)))
+        {
+            for alloy in alloys {
+                let case = format!("{pot}, {power_w} W, seed {seed}, alloy {alloy}");
+                let mut k = Kitchen::with_alloy(pot, "empty", *alloy, seed);
+                let rise_k = |k: &Kitchen| k.cooking.thermal().temperature_c() - 20.0;
+                let mut reported_k = None;
+                while rise_k(&k) < 310.0 && k.cooking.t_s() < 900.0 {
+                    k = k.cook(1.0, |_, _| power_w);
+                    if k.events
+                        .iter()
+                        .any(|(_, e)| matches!(e, PotEvent::Overheats { .. }))
+                    {
+                        reported_k.get_or_insert(rise_k(&k));
+                    }
+                }
+                let (found, truth_k) = (k.thermometer.reading().unwrap(), rise_k(&k));
+                println!(
+                    "{case}: at {reported_k:?} K; {truth_k} {} ± {}",
+                    found.rise_k, found.sigma_k
+                );
+                assert!(
+                    reported_k.is_some_and(|k| (150.0..latest_k).contains(&k)),
+                    "{case}: {reported_k:?}"
+                );
+                assert!(
+                    (found.rise_k - truth_k).abs() < 3.0 * found.sigma_k,
+                    "{case}: {found:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn an_empty_pot_overheats_however_fast_it_passes_the_turn() {
+    overheat(&[1200.0], 1..=2, &[0.0, -0.12]);
+}
+
+#[test]
+fn an_empty_pot_overheats_at_every_power_at_length() {
+    overheat(
+        &[800.0, 1000.0, 1200.0, 1500.0, 2000.0],
+        1..=8,
+        &[0.0, -0.12, 0.12],
+    );
+}
+
 #[test]
 fn what_is_no_measurement_changes_nothing_and_another_time_begins_anew() {
     let mut k = Kitchen::new("ferritic-21", "water-2", 5).cook(30.0, |_, _| 1500.0);
