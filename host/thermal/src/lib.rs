@@ -15,11 +15,14 @@ pub mod filter;
 mod gauss_newton;
 pub mod metal;
 pub mod placement;
+mod pot_reading;
 pub mod prior;
 pub mod thermometer;
+mod tracked_pot;
 pub mod turnover;
 
 pub use alloy::{ImpossibleAlloys, KnownAlloys};
 pub use batch::ThermalHalfCycle;
 pub use metal::MetalLaw;
-pub use thermometer::{GAP_S, PotEvent, PotReading, Thermometer};
+pub use pot_reading::{PotEvent, PotReading};
+pub use thermometer::{GAP_S, Thermometer};
