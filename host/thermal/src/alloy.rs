@@ -143,6 +143,7 @@ mod tests {
                 ..PotModel::PAPER
             },
             metal: MetalLaw::FERRITIC,
+            is_heated_already: false,
             margin: 20.0,
         }
     }

@@ -22,6 +22,11 @@ pub struct MetalLaw {
 /// Largest deviation in kelvin: where the slope is zero, both sides of the turn are this far apart.
 const MAX_SIGMA_K: f64 = 60.0;
 
+/// Standard deviation in kelvin of a pot's temperature when it is put on, above the room's: most are cold, some held hot food before.
+/// The larger one is that of a pot that is heated already when its first values come.
+const START_SIGMA_K: f64 = 40.0;
+const HEATED_START_SIGMA_K: f64 = 80.0;
+
 /// Range of rises in kelvin: metals on a hob are neither frozen nor molten.
 const COLDEST_K: f64 = -200.0;
 const HOTTEST_K: f64 = 1000.0;
@@ -81,6 +86,17 @@ impl MetalLaw {
     pub fn alloy_sigma_k(&self, rise_k: f64, spread: f64) -> f64 {
         let (change, slope) = self.ln_s_change(rise_k);
         (spread * (change / slope).abs()).min(MAX_SIGMA_K)
+    }
+
+    /// Standard deviation of a rise in kelvin by the unknown temperature at the start. The law counts from 20 °C; on a warmer pot heat
+    /// acts less, and by less than nothing beyond the turn.
+    pub fn start_sigma_k(&self, rise_k: f64, is_heated_already: bool) -> f64 {
+        let [from, here] = [0.0, rise_k].map(|k| self.ln_s_change(k).1);
+        let start_k = match is_heated_already {
+            true => HEATED_START_SIGMA_K,
+            false => START_SIGMA_K,
+        };
+        (start_k * ((here - from) / here).abs()).min(MAX_SIGMA_K)
     }
 
     /// Rise in kelvin at which R and L stop rising and begin to fall; infinite if they never do.

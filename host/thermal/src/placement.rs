@@ -1,6 +1,7 @@
 //! Identification of the pot that was put on: [`PotModel`] from the first operating points of heating.
 
 use ihd_map::PotModel;
+use ihd_shared::hob::F_SW_MAX_HZ;
 
 use crate::batch::ThermalHalfCycle;
 use crate::gauss_newton::{Prior, fit};
@@ -15,6 +16,9 @@ const MIN_POINT_CHANGE: f64 = 0.04;
 /// Relative errors of the device's R and L at one half-cycle, noise and bias: docs/accuracy.md has .5 and .3 % in the
 /// middle of a settled half-cycle; after a frequency step they are larger.
 const SIGMA: (f64, f64) = (0.01, 0.006);
+
+/// Least frequency over the highest one at which heating has just begun.
+const RAMP_START: f64 = 0.9;
 
 /// Most steps of the fit.
 const STEPS: usize = 30;
@@ -37,6 +41,8 @@ struct Point {
 #[derive(Clone, Debug, Default)]
 pub struct Placement {
     points: Vec<Point>,
+    /// Frequency of the first half-cycle that heats, in hertz.
+    first_hz: Option<f64>,
 }
 
 /// Identified pot.
@@ -46,6 +52,8 @@ pub struct PlacedPot {
     pub pot: PotModel,
     /// Class of its metal.
     pub metal: MetalLaw,
+    /// Set if it was heated before the first half-cycle: heating begins at the highest frequency.
+    pub is_heated_already: bool,
     /// Excess of χ² of the other class over that of this one; above 10 the class is certain.
     pub margin: f64,
 }
@@ -59,6 +67,7 @@ impl Placement {
         if !h.heats || !usable {
             return;
         }
+        self.first_hz.get_or_insert(h.f_hz);
         let near = |p: &&mut Point| {
             (h.f_hz / p.f_hz - 1.0).abs() < MIN_POINT_CHANGE
                 && (h.i_a / p.i_a - 1.0).abs() < MIN_POINT_CHANGE
@@ -105,6 +114,9 @@ impl Placement {
         chi2.is_finite().then_some(PlacedPot {
             pot,
             metal,
+            is_heated_already: self
+                .first_hz
+                .is_some_and(|f_hz| f_hz < RAMP_START * f64::from(F_SW_MAX_HZ)),
             margin: other - chi2,
         })
     }

@@ -9,7 +9,7 @@ pub struct PotReading {
     pub t_s: f64,
     /// Rise of the base's temperature since the pot was put on, in kelvin, within what its heat allows ([`HeatPrior`](crate::prior::HeatPrior)).
     pub rise_k: f64,
-    /// Standard deviation of the rise in kelvin, including the unknown alloy.
+    /// Standard deviation of the rise in kelvin, including the unknown alloy and temperature at the start.
     pub sigma_k: f64,
     /// Rise in kelvin, and its standard deviation, by the heat alone, without R and L.
     pub prior_k: (f64, f64),

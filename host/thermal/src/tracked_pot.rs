@@ -82,11 +82,16 @@ impl TrackedPot {
         let since_s = self.tick_s - self.began_s;
         let prior = HeatPrior::new(self.heat_j, since_s, self.filter.base_j_per_k());
         let sigma_k = filter_k.hypot(alloy_k).hypot(self.other_side_k(rise_k));
+        // A warm start makes ΔT wrong in one direction: it widens the deviation and leaves the mean.
+        let start_k = self
+            .filter
+            .metal()
+            .start_sigma_k(rise_k, self.placed.is_heated_already);
         let (rise_k, sigma_k) = prior.posterior_k((rise_k, sigma_k));
         PotReading {
             t_s: self.tick_s,
             rise_k,
-            sigma_k,
+            sigma_k: sigma_k.hypot(start_k),
             prior_k: prior.mean_k(),
             lift_mm,
             lift_sigma_mm,

@@ -26,6 +26,7 @@ fn seen(c: &CookingReport) -> ThermalHalfCycle {
 
 struct Kitchen {
     cooking: Cooking,
+    start_c: f64,
     thermometer: Thermometer,
     events: Vec<(f64, PotEvent)>,
     /// Sums of squared errors of ΔT in K², and of those over σ, and their number, with the base below 150 °C.
@@ -41,13 +42,20 @@ impl Kitchen {
 
     /// A pot of an alloy whose heat acts so much more than its class's.
     fn with_alloy(pot: &str, contents: &str, alloy: f64, seed: u64) -> Self {
+        Self::started(pot, contents, alloy, 20.0, seed)
+    }
+
+    /// A pot that is put on at a temperature in °C.
+    fn started(pot: &str, contents: &str, alloy: f64, start_c: f64, seed: u64) -> Self {
         let pot = SimulatedPot {
             lift_m: 0.5e-3,
+            temperature_c: start_c,
             ..pot.parse().unwrap()
         };
         let odd = PotDeviation { alloy, ..ODD };
         Self {
             cooking: Cooking::new(pot, contents.parse().unwrap(), odd, seed).unwrap(),
+            start_c,
             thermometer: Thermometer::default(),
             events: Vec::new(),
             squares: (0.0, 0.0, 0),
@@ -78,7 +86,7 @@ impl Kitchen {
             let reading = self.thermometer.reading().filter(|_| cooked.t_s >= look_s);
             if let Some(reading) = reading {
                 look_s += 1.0;
-                let off_k = reading.rise_k - (base_c - 20.0);
+                let off_k = reading.rise_k - (base_c - self.start_c);
                 if base_c < 150.0 {
                     self.squares.0 += off_k * off_k;
                     self.squares.1 += (off_k / reading.sigma_k).powi(2);
@@ -231,6 +239,42 @@ fn an_empty_pot_overheats_and_passes_the_turn() {
         (found.rise_k - truth_k).abs() < found.sigma_k.max(40.0),
         "{found:?}"
     );
+}
+
+#[test]
+fn a_pot_that_is_put_on_warm_is_within_its_deviation() {
+    for (start_c, heated_s) in [(60.0, 0.0), (20.0, 60.0), (20.0, 130.0)] {
+        let mut k = Kitchen::started("ferritic-21", "water-1", 0.0, start_c, 7);
+        // A daemon that is started anew meanwhile.
+        if heated_s > 0.0 {
+            k = k.cook(heated_s, |_, _| 1500.0);
+            k.start_c = k.cooking.thermal().temperature_c();
+            (k.thermometer, k.squares) = (Thermometer::default(), (0.0, 0.0, 0));
+        }
+        k = k.cook(100.0, |_, _| 1500.0);
+        let reading = k.thermometer.reading().unwrap();
+        println!(
+            "from {} °C: {} K, z {}, {reading:?}",
+            k.start_c,
+            k.rms_k(),
+            k.z_rms()
+        );
+        assert!(k.z_rms() < 1.2, "from {} °C: {}", k.start_c, k.z_rms());
+        assert!(reading.sigma_k < 60.0);
+    }
+}
+
+#[test]
+fn a_warm_empty_pot_beyond_the_turn_is_never_colder_than_its_start() {
+    // No extreme near the turn: R and L hardly rise before they fall.
+    let mut k = Kitchen::started("ferritic-18", "empty", 0.0, 100.0, 3);
+    while k.cooking.thermal().temperature_c() < 420.0 {
+        k = k.cook(1.0, |_, _| 1100.0);
+    }
+    let reading = k.thermometer.reading().unwrap();
+    println!("{reading:?} {:?}", k.events);
+    assert!(reading.overheats && reading.rise_k > 150.0, "{reading:?}");
+    assert!((reading.rise_k - 320.0).abs() < 3.0 * reading.sigma_k);
 }
 
 /// Empty pots of both metals at these powers, heated by 300 K: overheating is reported before 60 K beyond the turn, and ΔT is right in the end.
