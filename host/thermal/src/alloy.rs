@@ -145,6 +145,7 @@ mod tests {
             metal: MetalLaw::FERRITIC,
             is_heated_already: false,
             margin: 20.0,
+            misfit: 0.1,
         }
     }
 

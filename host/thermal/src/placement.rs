@@ -17,6 +17,15 @@ const MIN_POINT_CHANGE: f64 = 0.04;
 /// middle of a settled half-cycle; after a frequency step they are larger.
 const SIGMA: (f64, f64) = (0.01, 0.006);
 
+/// χ² by which the other class of metals must be worse for this one to be certain: 3 σ.
+const CLASS_CHI2: f64 = 9.0;
+
+/// Largest χ² per datum of a class that is certain. The errors that are assumed are larger than those of a pot of the class.
+const MAX_MISFIT: f64 = 1.0;
+
+/// Prior deviations of ln α and ln s within a class. Steels and irons have from 0.1 to 0.7 µΩm, in which s is a square root.
+const ALLOYS: (f64, f64) = (0.2, 0.5);
+
 /// Least frequency over the highest one at which heating has just begun.
 const RAMP_START: f64 = 0.9;
 
@@ -54,8 +63,17 @@ pub struct PlacedPot {
     pub metal: MetalLaw,
     /// Set if it was heated before the first half-cycle: heating begins at the highest frequency.
     pub is_heated_already: bool,
-    /// Excess of χ² of the other class over that of this one; above 10 the class is certain.
+    /// Excess of χ² of the other class over that of this one.
     pub margin: f64,
+    /// χ² over the number of data: above some 1 no metal of this class explains R and L.
+    pub misfit: f64,
+}
+
+impl PlacedPot {
+    /// Returns `true` if the class of its metal is certain: this one explains R and L, and the other one does not.
+    pub fn is_sure(&self) -> bool {
+        self.margin > CLASS_CHI2 && self.misfit < MAX_MISFIT
+    }
 }
 
 impl Placement {
@@ -118,15 +136,15 @@ impl Placement {
                 .first_hz
                 .is_some_and(|f_hz| f_hz < RAMP_START * f64::from(F_SW_MAX_HZ)),
             margin: other - chi2,
+            misfit: chi2 / (2 * self.points.len()) as f64,
         })
     }
 
     fn fit(&self, metal: &MetalLaw) -> (PotModel, f64) {
         let prior = |mean, sigma| Prior { mean, sigma };
         let priors = [
-            // Spread of alloys in a class.
-            prior(metal.ln_alpha, 0.2),
-            prior(metal.ln_s, 0.1),
+            prior(metal.ln_alpha, ALLOYS.0),
+            prior(metal.ln_s, ALLOYS.1),
             prior(0.09, 0.02),
             // Lift by a base that is not flat, or by feet of a pot.
             prior(0.5e-3, 0.7e-3),
@@ -197,5 +215,47 @@ mod tests {
         let between = placed(0.5 * (a.ln_alpha + b.ln_alpha), 0.5 * (a.ln_s + b.ln_s)).margin;
         println!("{sure} {between}");
         assert!(between < 0.5 * sure && between < 9.0, "{between} {sure}");
+    }
+
+    /// Pot identified from the ramp at which heating begins, with R multiplied by a power of the frequency.
+    fn placed_by_ramp(law: &MetalLaw, resistivity: f64, r_exponent: f64) -> PlacedPot {
+        let pot = PotModel {
+            ln_alpha: law.ln_alpha,
+            // s ∝ √ρ.
+            ln_s: law.ln_s + 0.5 * resistivity.ln(),
+            radius_m: 0.09,
+            winding_r_ohm: 0.1,
+            ..PotModel::PAPER
+        };
+        let mut placement = Placement::default();
+        for k in 0..10 {
+            let (f_hz, i_a) = (80e3 - 3.7e3 * f64::from(k), 12.0 + 3.0 * f64::from(k));
+            let z = pot.impedance(f_hz, i_a);
+            placement.push(&ThermalHalfCycle {
+                t_s: 0.01 * f64::from(k),
+                f_hz,
+                i_a,
+                r_ohm: z.r_ohm * (f_hz / 60e3).powf(r_exponent),
+                l_h: z.l_h,
+                power_w: 1500.0,
+                heats: true,
+            });
+        }
+        placement.place().unwrap()
+    }
+
+    #[test]
+    fn the_class_does_not_depend_on_the_resistivity_and_is_unsure_where_neither_fits() {
+        // 0.1 to 0.7 µΩm: the paper's ferritic metal has 0.125, 1.4016 has 0.60, cast iron 0.7.
+        for (law, of_class) in [(MetalLaw::FERRITIC, 0.125), (MetalLaw::CAST_IRON, 0.7)] {
+            for resistivity in [0.1, 0.2, 0.6, 0.7] {
+                let found = placed_by_ramp(&law, resistivity / of_class, 0.0);
+                assert_eq!(found.metal, law, "{resistivity} µΩm");
+                assert!(found.is_sure() && !found.is_heated_already, "{found:?}");
+            }
+            let odd = placed_by_ramp(&law, 1.0, 0.7);
+            println!("{odd:?}");
+            assert!(!odd.is_sure(), "{odd:?}");
+        }
     }
 }

@@ -13,9 +13,6 @@ use crate::turnover::TurnoverDetector;
 /// Gap in seconds between half-cycles that ends a run: what happened to pot and power meanwhile is unknown.
 pub const GAP_S: f64 = 120.0;
 
-/// χ² by which the other class of metals must be worse for this one to be certain: 3 σ.
-const CLASS_CHI2: f64 = 9.0;
-
 /// Thermometer of the pot on one coil. A pot that boils water teaches the effect of heat on its metal, which is used when it is put on
 /// again.
 #[derive(Clone, Debug, Default)]
@@ -101,7 +98,7 @@ impl Thermometer {
         let Some(placed) = self.placement.place() else {
             return;
         };
-        let is_sure = placed.margin > CLASS_CHI2;
+        let is_sure = placed.is_sure();
         // At first all heat stays in the base.
         let radius_m = placed.pot.radius_m;
         let area_m2 = std::f64::consts::PI * radius_m * radius_m;
