@@ -55,6 +55,10 @@ const GLASS_W_PER_K: f64 = 1.5;
 /// Losses of wall and lid to the room over the base's area, in W/m²K: a pot 0.6 times as high as wide, 10 W/m²K. The fit scales them.
 const AROUND_W_PER_M2K: f64 = 34.0;
 
+/// Losses of a base that is not covered to the air in it, in W/m²K: convection and radiation, about half each. They grow with
+/// temperature as the wall's do.
+const DRY_W_PER_M2K: f64 = 10.0;
+
 /// Parameters of a model, at the same index in both: ln of the contents' J/K, ln of the convection's factor in W/m²K^(4/3), ln of
 /// the losses' factor, ln of the base's J/K. The model with boiling adds the boiling point's rise in K and ln of the resistance
 /// through the base in m²K/W; the other adds growth of the losses in 1/K and the same resistance.
@@ -273,19 +277,19 @@ impl ContentsFit {
         let (contents, factor, losses) = (x[0].exp(), x[1].exp(), x[2].exp());
         let (base, through) = (x[3].exp(), self.area_m2 / x[5].exp());
         let (below, around) = (BELOW_W_PER_K, losses * AROUND_W_PER_M2K * self.area_m2);
-        // Heat that a base without bubbles loses to the air beside its contents.
-        let dry = losses;
         let boil_k = if boils { x[4] } else { f64::INFINITY };
         let growth = if boils { 0.0 } else { x[4].max(0.0) };
+        // Losses to the air beside the contents, in W/K².
+        let dry = losses * DRY_W_PER_M2K * self.area_m2 * growth;
         let mut s = State::default();
         for (k, step) in self.steps.iter().enumerate() {
             let (up_w, slope) = self.settle(&mut s, factor, through, boil_k);
             let down_w = below * (s.base_k - s.glass_k);
             let glass = GLASS_J_PER_K + self.step_s * (below + GLASS_W_PER_K);
             s.glass_k += (down_w - GLASS_W_PER_K * s.glass_k) * self.step_s / glass;
-            let out_w = up_w + down_w + dry * growth * s.base_k * s.base_k.max(0.0);
+            let out_w = up_w + down_w + dry * s.base_k * s.base_k.max(0.0);
             // Linearly implicit, which is stable for all parameters.
-            let stiff = slope + below + 2.0 * dry * growth * s.base_k.max(0.0);
+            let stiff = slope + below + 2.0 * dry * s.base_k.max(0.0);
             s.base_k += (step.power_w - out_w) * self.step_s / (base + self.step_s * stiff);
             let lost_w = around * (1.0 + growth * s.bulk_k.max(0.0)) * s.bulk_k;
             let bulk_k =
@@ -314,5 +318,31 @@ impl ContentsFit {
         s.bubbles = if q > 0.0 { bubbles / q } else { 0.0 };
         let up_w = through * (s.base_k - s.face_k);
         (up_w, through * slope / (through + slope))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_uncovered_base_settles_where_its_losses_are_its_power() {
+        for radius_m in [0.06, 0.12] {
+            let mut pot = ContentsFit::new(radius_m, 0.0);
+            for k in 1..=600 {
+                pot.push(10.0 * f64::from(k), 10.0 * 250.0, None);
+            }
+            // Hardly any convection into the contents, losses that grow by 2 % a kelvin.
+            let parameters = [6e3f64.ln(), -30.0, 0.0, 500f64.ln(), 0.02, 1.5e-4f64.ln()];
+            let mut base_k = 0.0;
+            pot.run(&parameters, false, |_, state| base_k = state.base_k);
+            let to_glass = BELOW_W_PER_K * GLASS_W_PER_K / (BELOW_W_PER_K + GLASS_W_PER_K);
+            let to_air = DRY_W_PER_M2K * std::f64::consts::PI * radius_m * radius_m;
+            let lost_w = to_glass * base_k + to_air * 0.02 * base_k * base_k;
+            assert!(
+                (lost_w - 250.0).abs() < 10.0,
+                "{radius_m}: {base_k} K, {lost_w} W"
+            );
+        }
     }
 }
