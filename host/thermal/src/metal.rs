@@ -91,12 +91,16 @@ impl MetalLaw {
     /// Standard deviation of a rise in kelvin by the unknown temperature at the start. The law counts from 20 °C; on a warmer pot heat
     /// acts less, and by less than nothing beyond the turn.
     pub fn start_sigma_k(&self, rise_k: f64, is_heated_already: bool) -> f64 {
-        let [from, here] = [0.0, rise_k].map(|k| self.ln_s_change(k).1);
-        let start_k = match is_heated_already {
-            true => HEATED_START_SIGMA_K,
-            false => START_SIGMA_K,
-        };
-        (start_k * ((here - from) / here).abs()).min(MAX_SIGMA_K)
+        let (change, slope) = self.ln_s_change(rise_k);
+        let by_kelvin = ((slope - self.ln_s_change(0.0).1) / slope).abs();
+        if !is_heated_already {
+            return (START_SIGMA_K * by_kelvin).min(MAX_SIGMA_K);
+        }
+        // Rise with the same effect of a pot that was as hot at the start, if there is one.
+        let hot_change = change + self.ln_s_change(HEATED_START_SIGMA_K).0;
+        let hot_k = self.rise_with_change_k(hot_change, rise_k > self.turning_rise_k());
+        let off_k = (hot_k - HEATED_START_SIGMA_K - rise_k).abs();
+        off_k.max(HEATED_START_SIGMA_K * by_kelvin).min(MAX_SIGMA_K)
     }
 
     /// Rise in kelvin at which R and L stop rising and begin to fall; infinite if they never do.
@@ -174,6 +178,25 @@ mod tests {
                 let expected = 0.5 * base.heat_factor(20.0 + rise_k).ln();
                 assert!((law.ln_s_change(rise_k).0 - expected).abs() < 1e-9);
             }
+        }
+    }
+
+    #[test]
+    fn a_warm_start_is_within_its_deviation() {
+        for law in MetalLaw::ALL {
+            for (start_c, heated) in [(60.0, false), (60.0, true), (100.0, true)] {
+                let start_k = start_c - 20.0;
+                for rise_k in [10.0, 40.0, 80.0] {
+                    let [from, here] = [start_k, start_k + rise_k].map(|k| law.ln_s_change(k).0);
+                    let found_k = law.rise_with_change_k(here - from, false);
+                    let sigma_k = law.start_sigma_k(found_k, heated);
+                    let z = (rise_k - found_k).abs() / sigma_k;
+                    let most = if heated { 1.001 } else { 1.7 };
+                    assert!(z < most, "{start_c} °C, {rise_k} K: {found_k} ± {sigma_k}");
+                }
+            }
+            // Cold pots pay little for it where most of the cooking is.
+            assert!(law.start_sigma_k(40.0, false) < 12.0);
         }
     }
 }

