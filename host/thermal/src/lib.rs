@@ -17,6 +17,7 @@ pub mod metal;
 pub mod placement;
 mod pot_reading;
 pub mod prior;
+pub mod reversal;
 pub mod thermometer;
 mod tracked_pot;
 pub mod turnover;

@@ -7,7 +7,8 @@ use crate::metal::MetalLaw;
 use crate::placement::PlacedPot;
 use crate::pot_reading::{PotEvent, PotReading};
 use crate::prior::HeatPrior;
-use crate::turnover::{TurnoverDetector, TurnoverInput};
+use crate::reversal::TurnoverInput;
+use crate::turnover::TurnoverDetector;
 
 /// Period in seconds in which the curve is updated.
 const TICK_S: f64 = 0.5;

@@ -8,7 +8,7 @@
 use std::collections::VecDeque;
 
 use crate::metal::MetalLaw;
-use crate::prior::CAPACITY_MARGIN;
+use crate::reversal::{Extreme, TurnoverInput};
 
 /// Distance of ΔT from its extreme, in kelvin, that noise does not explain.
 const BACK_K: f64 = 6.0;
@@ -16,18 +16,12 @@ const BACK_K: f64 = 6.0;
 /// Duration of a reversal in seconds that near the turn needs no other proof: cold food cools a base as much within some seconds.
 const SLOW_S: f64 = 12.0;
 
-/// Largest fall over what the base warmed meanwhile. Near the turn the filter lags, first behind the rise and then behind the fall.
-const MAX_FALL: f64 = 2.0;
-
 /// Time in seconds before the extreme over which the rate of warming counts: at the turn itself the filter has none.
 const RATE_S: f64 = 40.0;
 
 /// Least effect of heat on ln s at the extreme, over its maximum, for an extreme that is near the turn. The rest allows for the filter's
 /// own error.
 const MIN_EFFECT_SHARE: f64 = 0.95;
-
-/// Standard deviations of the alloy's effect by which a turn may lie lower.
-const ALLOY_SIGMAS: f64 = 2.0;
 
 /// ΔT in kelvin, less three standard deviations, below which a heated pot is no colder than when it was put on but beyond the turn.
 const BELOW_START_K: f64 = -15.0;
@@ -41,23 +35,6 @@ const POWER: (f64, f64) = (0.95, 0.5);
 /// Time constant of the mean power in seconds.
 const POWER_S: f64 = 15.0;
 
-/// ΔT with its standard deviation, and what heats the pot.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TurnoverInput {
-    /// Time in seconds.
-    pub t_s: f64,
-    /// ΔT in kelvin on the present side.
-    pub rise_k: f64,
-    /// Standard deviation of ΔT in kelvin, without the alloy's.
-    pub sigma_k: f64,
-    /// Mean power in watt.
-    pub power_w: f64,
-    /// Heat capacity of the base in J/K.
-    pub base_j_per_k: f64,
-    /// Relative standard deviation of the alloy's effect.
-    pub spread: f64,
-}
-
 /// Change of the side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SideChange {
@@ -65,18 +42,6 @@ pub struct SideChange {
     pub rise_k: f64,
     /// Effect of heat over that of the law so far: the extreme is the alloy's maximum.
     pub effect: f64,
-}
-
-/// Largest ΔT, or least beyond the turn.
-#[derive(Clone, Copy, Debug)]
-struct Extreme {
-    rise_k: f64,
-    t_s: f64,
-    power_w: f64,
-    /// Rate in K/s at which ΔT rose before.
-    rate: f64,
-    /// Heat in joule since then.
-    heat_j: f64,
 }
 
 /// Reversal whose cause is another one, or not known.
@@ -178,7 +143,8 @@ impl TurnoverDetector {
         now: &TurnoverInput,
         extreme: Extreme,
     ) -> Option<SideChange> {
-        let is_slow = share(metal, &extreme) > MIN_EFFECT_SHARE && now.t_s - extreme.t_s > SLOW_S;
+        let is_slow =
+            extreme.effect_share(metal) > MIN_EFFECT_SHARE && now.t_s - extreme.t_s > SLOW_S;
         if self.beyond {
             if is_slow && self.mean_w <= POWER.1 * self.passed_w {
                 return Some(self.change_side(metal, now.rise_k, 1.0));
@@ -187,14 +153,14 @@ impl TurnoverDetector {
             return None;
         }
         if is_slow && self.is_heated(&extreme) {
-            return Some(self.pass(metal, now, &extreme, share(metal, &extreme)));
+            return Some(self.pass(metal, now, &extreme, extreme.effect_share(metal)));
         }
         if let Some(share) = self.share_beyond(metal, now, &extreme) {
             return Some(self.pass(metal, now, &extreme, share));
         }
         let may_be = self.is_heated(&extreme)
-            && extreme.rise_k - now.rise_k < CAPACITY_MARGIN * extreme.heat_j / now.base_j_per_k
-            && (is_near(metal, now, &extreme) || is_mirrored(now, &extreme));
+            && extreme.is_possible(now)
+            && (extreme.is_near_turn(metal, now) || extreme.is_mirrored(now));
         self.wait(now, extreme, may_be);
         None
     }
@@ -209,8 +175,8 @@ impl TurnoverDetector {
         if self.beyond || !self.is_heated(extreme) {
             return None;
         }
-        if is_near(metal, now, extreme) && is_mirrored(now, extreme) {
-            return Some(share(metal, extreme));
+        if extreme.is_near_turn(metal, now) && extreme.is_mirrored(now) {
+            return Some(extreme.effect_share(metal));
         }
         // Whatever the pot's temperature was when it was put on.
         let is_below_start = now.rise_k + 3.0 * now.sigma_k < BELOW_START_K;
@@ -264,23 +230,6 @@ impl TurnoverDetector {
         self.hottest_k = rise_k;
         SideChange { rise_k, effect }
     }
-}
-
-/// Effect of heat at the extreme over the law's maximum.
-fn share(metal: &MetalLaw, extreme: &Extreme) -> f64 {
-    metal.ln_s_change(extreme.rise_k).0 / metal.ln_s_change(metal.turning_rise_k()).0
-}
-
-/// Returns `true` if the extreme may be the turn of an alloy of this class.
-fn is_near(metal: &MetalLaw, now: &TurnoverInput, extreme: &Extreme) -> bool {
-    share(metal, extreme) > 1.0 - ALLOY_SIGMAS * now.spread.min(MetalLaw::SPREAD)
-}
-
-/// Returns `true` if ΔT falls no faster than the base warmed before, and by what the power has changed.
-fn is_mirrored(now: &TurnoverInput, extreme: &Extreme) -> bool {
-    let lasted_s = now.t_s - extreme.t_s;
-    let more_k = (extreme.heat_j - extreme.power_w * lasted_s) / now.base_j_per_k;
-    extreme.rise_k - now.rise_k < MAX_FALL * (extreme.rate * lasted_s + more_k)
 }
 
 #[cfg(test)]
