@@ -3,8 +3,8 @@
 use crate::metal::MetalLaw;
 use crate::prior::CAPACITY_MARGIN;
 
-/// Largest fall over what the base warmed meanwhile. Near the turn the filter lags, first behind the rise and then behind the fall.
-const MAX_FALL: f64 = 2.0;
+/// Largest fall over what the base warmed meanwhile, or before in the same time. Near the turn the filter lags, first behind the rise and then behind the fall.
+pub(crate) const MAX_FALL: f64 = 2.0;
 
 /// Standard deviations of the alloy's effect by which a turn may lie lower.
 const ALLOY_SIGMAS: f64 = 2.0;
