@@ -16,6 +16,9 @@ const BACK_K: f64 = 6.0;
 /// Duration of a reversal in seconds that near the turn needs no other proof: cold food cools a base as much within some seconds.
 const SLOW_S: f64 = 12.0;
 
+/// Fall of ΔT in that time, in kelvin, that noise does not explain once the turn is behind.
+const FALLS_K: f64 = 0.5;
+
 /// Time in seconds before the extreme over which the rate of warming counts: at the turn itself the filter has none.
 const RATE_S: f64 = 40.0;
 
@@ -29,8 +32,10 @@ const MIN_EFFECT_SHARE: f64 = 0.95;
 /// ΔT in kelvin, less three standard deviations, below which a heated pot is no colder than when it was put on but beyond the turn.
 const BELOW_START_K: f64 = -15.0;
 
-/// Fall of ΔT beyond the turn under undiminished power, in kelvin, that shows that the pot is not there.
+/// Fall of ΔT beyond the turn under undiminished power, in kelvin, that shows that the pot is not there; and the effect over its
+/// maximum from which on it counts: nearer to the turn noise is as large.
 const COOLED_K: f64 = 18.0;
+const FAR_EFFECT_SHARE: f64 = 0.9;
 
 /// Power over that of the extreme: least value of constant heating, and largest value of less heating.
 const POWER: (f64, f64) = (0.95, 0.5);
@@ -96,9 +101,19 @@ impl TurnoverDetector {
         if self.beyond {
             self.hottest_k = self.hottest_k.max(rise_k);
             let is_heated = self.mean_w >= POWER.0 * self.passed_w;
-            if is_heated && self.hottest_k - rise_k > COOLED_K {
+            let top = metal.ln_s_change(metal.turning_rise_k()).0;
+            let was_far = metal.ln_s_change(self.hottest_k).0 < FAR_EFFECT_SHARE * top;
+            if is_heated && was_far && self.hottest_k - rise_k > COOLED_K {
                 return Some(self.change_side(metal, rise_k, 1.0));
             }
+        }
+        if self.beyond && rise_k < metal.turning_rise_k() - BACK_K {
+            self.beyond = false;
+            // The filter fell through the turn: with the heat that passed it, it bounced; with less, the pot has cooled.
+            if self.mean_w > POWER.1 * self.passed_w {
+                return Some(self.change_side(metal, rise_k, 1.0));
+            }
+            (self.extreme, self.reversal) = (None, None);
         }
         // All is mirrored beyond the turn.
         let sign = if self.beyond { -1.0 } else { 1.0 };
@@ -146,17 +161,13 @@ impl TurnoverDetector {
         now: &TurnoverInput,
         extreme: Extreme,
     ) -> Option<SideChange> {
-        let is_slow =
-            extreme.effect_share(metal) > MIN_EFFECT_SHARE && now.t_s - extreme.t_s > SLOW_S;
         if self.beyond {
-            if is_slow && self.mean_w <= POWER.1 * self.passed_w {
+            let is_off = self.mean_w <= POWER.1 * self.passed_w;
+            if is_off && self.is_slow(metal, now, &extreme) {
                 return Some(self.change_side(metal, now.rise_k, 1.0));
             }
             self.wait(now, extreme, false);
             return None;
-        }
-        if is_slow && self.is_heated(&extreme) {
-            return Some(self.pass(metal, now, &extreme, extreme.effect_share(metal)));
         }
         if let Some(share) = self.share_beyond(metal, now, &extreme) {
             return Some(self.pass(metal, now, &extreme, share));
@@ -178,7 +189,9 @@ impl TurnoverDetector {
         if self.beyond || !self.is_heated(extreme) {
             return None;
         }
-        if extreme.is_near_turn(metal, now) && self.is_mirrored(now, extreme) {
+        if self.is_slow(metal, now, extreme)
+            || (extreme.is_near_turn(metal, now) && self.is_mirrored(now, extreme))
+        {
             return Some(extreme.effect_share(metal));
         }
         // Whatever the pot's temperature was when it was put on.
@@ -211,6 +224,18 @@ impl TurnoverDetector {
         let mut recent = self.history.iter().filter(|(at_s, _)| t_s - at_s <= RATE_S);
         let (at_s, before_k) = recent.next().copied().unwrap_or((t_s, rise_k));
         (rise_k - before_k) / (t_s - at_s).max(1.0)
+    }
+
+    /// Returns `true` if ΔT has fallen slowly from an extreme at the turn itself, and falls on.
+    fn is_slow(&self, metal: &MetalLaw, now: &TurnoverInput, extreme: &Extreme) -> bool {
+        let sign = if self.beyond { -1.0 } else { 1.0 };
+        let fall_k = sign * (extreme.rise_k - now.rise_k);
+        let lasted_s = now.t_s - extreme.t_s;
+        let is_before = |(at_s, _): &&(f64, f64)| now.t_s - at_s >= SLOW_S;
+        let before = self.history.iter().rfind(is_before);
+        extreme.effect_share(metal) > MIN_EFFECT_SHARE
+            && fall_k < BACK_K / SLOW_S * lasted_s
+            && before.is_some_and(|(_, rise_k)| sign * (rise_k - now.rise_k) > FALLS_K)
     }
 
     /// Returns `true` if ΔT falls about as it rose: by the rate before the extreme, or by the time for the same way.
