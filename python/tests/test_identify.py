@@ -174,7 +174,7 @@ def interrupted(compute):
 
 interrupted(lambda: ihd.simulate(settings={"load": "behavioural", "duration_s": 10.0}))
 capture = ihd.simulate(settings={"load": "behavioural", "duration_s": 20e-3})
-endless = {"pinn": {"config": {"optimiser": "adam", "max_iterations": 10**7, "time_limit_s": 1e6, "tolerance": 0.0}}}
+endless = {"pinn": {"config": {"optimiser": "adam", "max_iterations": 10**7, "time_limit_s": 10**6, "tolerance": 0}}}
 interrupted(lambda: capture.identify("pinn", settings=endless))
 print(capture.identify("lockin").estimates[0].method)
 """
