@@ -12,7 +12,7 @@ const PERIOD: Duration = Duration::from_millis(100);
 /// from there, as the rooms of the host report their progress but cannot be stopped.
 ///
 /// # Errors
-/// What the handler of a signal raises: `KeyboardInterrupt`.
+/// Exception of the signal's handler: `KeyboardInterrupt`.
 pub fn interruptible<T: Send>(
     py: Python<'_>,
     work: impl FnOnce(&mut dyn FnMut()) -> T + Send,

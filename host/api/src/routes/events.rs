@@ -97,7 +97,7 @@ struct Subscriber {
     device: Option<String>,
     tx: mpsc::Sender<Result<Event, Infallible>>,
     app: Arc<App>,
-    /// Of the request: its token or session.
+    /// Headers of the request, with its token or session.
     headers: HeaderMap,
     stopping: watch::Receiver<bool>,
     _permit: OwnedSemaphorePermit,

@@ -139,7 +139,7 @@ struct Subscriber {
     tap: LiveTap,
     events: broadcast::Receiver<Arc<DaemonEvent>>,
     app: Arc<App>,
-    /// Of the request: its token or session.
+    /// Headers of the request, with its token or session.
     headers: HeaderMap,
     stopping: watch::Receiver<bool>,
     stall: Option<WriteStall>,
