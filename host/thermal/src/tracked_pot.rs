@@ -129,8 +129,7 @@ impl TrackedPot {
             spread: self.spread,
         };
         if let Some(change) = self.turnover.update(&metal, &now) {
-            let alloy = metal.with_effect(change.effect * metal.effect);
-            self.filter.change_side(change.rise_k, alloy);
+            self.filter.change_side(change.rise_k, change.metal);
         }
         let (rise_k, sigma_k) = self.filter.rise_k();
         self.check_overheating(rise_k, sigma_k, events);

@@ -3,7 +3,7 @@
 //! R and L grow with heat up to a rise of some 200 K and fall beyond it, so that the same R and L belong to two temperatures. The filter
 //! alone would bounce off the turn from both sides. What it shows as cooling is judged against the heat: a base that goes on warming as
 //! it did before comes down the other side about as fast as it rose. A fall that the heat does not explain has another cause (cold food).
-//! Where both are possible, the pot's side is in doubt until ΔT rises again or falls below 0 in spite of the heat.
+//! The pot's side is in doubt while both are possible, until ΔT rises again or falls below 0 in spite of the heat.
 
 use std::collections::VecDeque;
 
@@ -48,8 +48,8 @@ const POWER_S: f64 = 15.0;
 pub struct SideChange {
     /// ΔT in kelvin on the other side.
     pub rise_k: f64,
-    /// Effect of heat over that of the law so far: the extreme is the alloy's maximum.
-    pub effect: f64,
+    /// Law of the metal: the extreme is its maximum.
+    pub metal: MetalLaw,
 }
 
 /// Reversal whose cause is another one, or not known.
@@ -94,6 +94,7 @@ impl TurnoverDetector {
         let dt_s = self.last_s.map_or(0.0, |last_s| t_s - last_s).max(0.0);
         self.last_s = Some(t_s);
         self.mean_w += (1.0 - (-dt_s / POWER_S).exp()) * (now.power_w - self.mean_w);
+        self.remember(t_s, rise_k);
         let rate = self.rate(t_s, rise_k);
         if !metal.turning_rise_k().is_finite() {
             return None;
@@ -214,13 +215,17 @@ impl TurnoverDetector {
         self.change_side(metal, now.rise_k, share)
     }
 
-    /// Rate in K/s over the last seconds.
-    fn rate(&mut self, t_s: f64, rise_k: f64) -> f64 {
+    /// Adds ΔT to the history, and forgets what is too old.
+    fn remember(&mut self, t_s: f64, rise_k: f64) {
         self.history.push_back((t_s, rise_k));
         let is_old = |(at_s, _): &(f64, f64)| t_s - at_s > HISTORY_S;
         while self.history.front().is_some_and(is_old) {
             self.history.pop_front();
         }
+    }
+
+    /// Rate in K/s over the last seconds.
+    fn rate(&self, t_s: f64, rise_k: f64) -> f64 {
         let mut recent = self.history.iter().filter(|(at_s, _)| t_s - at_s <= RATE_S);
         let (at_s, before_k) = recent.next().copied().unwrap_or((t_s, rise_k));
         (rise_k - before_k) / (t_s - at_s).max(1.0)
@@ -261,11 +266,13 @@ impl TurnoverDetector {
         self.beyond = !self.beyond;
         (self.extreme, self.reversal) = (None, None);
         self.history.clear();
-        let effect = share.min(1.0);
-        let alloy = metal.with_effect(effect * metal.effect);
+        let alloy = metal.with_effect(share.min(1.0) * metal.effect);
         let rise_k = alloy.rise_with_change_k(metal.ln_s_change(rise_k).0, self.beyond);
         self.hottest_k = rise_k;
-        SideChange { rise_k, effect }
+        SideChange {
+            rise_k,
+            metal: alloy,
+        }
     }
 }
 
