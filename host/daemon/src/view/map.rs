@@ -91,17 +91,15 @@ fn fill(map: Map, lookup: &RlLookup, age_s: Vec<Vec<Option<f64>>>) -> Map {
     };
     let r_ohm = |f: usize, i: usize| f64::from(lookup.r[f][i]) * OHM_PER_CODE;
     let l_h = |f: usize, i: usize| f64::from(lookup.l[f][i]) * HENRY_PER_CODE;
+    let rows: Vec<_> = (0..FREQUENCIES)
+        .map(|f| MapRow::new(f_sw_hz[f], &i_a, |i| (r_ohm(f, i), l_h(f, i))))
+        .collect();
+    let power_w = table(&|f, i| rows[f].mean_power_w(i));
     let observed = |f: usize| (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect();
     Map {
         r_ohm: table(&r_ohm),
         l_h: table(&l_h),
-        power_w: (0..FREQUENCIES)
-            .map(|f| {
-                let r_l = |i| (r_ohm(f, i), l_h(f, i));
-                let row = MapRow::new(f_sw_hz[f], &i_a, r_l);
-                (0..CURRENTS).map(|i| row.mean_power_w(i)).collect()
-            })
-            .collect(),
+        power_w,
         observed: (0..FREQUENCIES).map(observed).collect(),
         age_s,
         f_sw_hz,
