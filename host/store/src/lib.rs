@@ -51,7 +51,7 @@ pub use fleet_state::{DeliveryState, FleetMark, FleetState, GiveUpReason};
 pub use folder::DamagedFile;
 pub use ihd_signal::atomic;
 pub use journal::{AuditRow, EventRow, JournalFilter, JournalRow, NewEvent};
-pub use lookups::{Certainty, LookupRow, LookupState};
+pub use lookups::{Certainty, LookupRow, LookupState, superseded_lookups};
 pub use options::{Retention, SamplePolicy, StoreOptions, UnknownSamplePolicy};
 pub use outbox::OutboxItem;
 pub use reader::{DeviceRow, SessionRow, StoreReader};

@@ -68,6 +68,13 @@ pub struct LookupRow {
     pub blob: Vec<u8>,
 }
 
+/// Returns the lookups that were active before the present one, of version `on_device`, newest first; `rows` are oldest first.
+pub fn superseded_lookups(rows: &[LookupRow], on_device: u32) -> impl Iterator<Item = &LookupRow> {
+    let was_active =
+        move |row: &&LookupRow| row.state == LookupState::Superseded && row.version != on_device;
+    rows.iter().rev().filter(was_active)
+}
+
 /// A number of each cell of a lookup, `[frequency][current]`.
 type CellTable = [[f64; CURRENTS]; FREQUENCIES];
 

@@ -11,7 +11,7 @@
 //! | another one | any | the device's is adopted; a pending one is not pushed |
 
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
-use ihd_store::{LookupRow, LookupState};
+use ihd_store::{LookupRow, LookupState, superseded_lookups};
 
 /// Step that makes device and store agree.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -79,10 +79,7 @@ pub fn next_version(on_device: u32, rows: &[LookupRow]) -> Result<u32, String> {
 
 /// Returns the newest lookup that was active before the present one; `None` if there is none.
 pub fn previous_lookup(on_device: u32, rows: &[LookupRow]) -> Option<RlLookup> {
-    let superseded = rows.iter().rev();
-    superseded
-        .filter(|row| row.state == LookupState::Superseded && row.version != on_device)
-        .find_map(|row| RlLookup::from_bytes(&row.blob).ok())
+    superseded_lookups(rows, on_device).find_map(|row| RlLookup::from_bytes(&row.blob).ok())
 }
 
 #[cfg(test)]

@@ -197,9 +197,7 @@ impl Direct {
             "what was active before stands in the store: give its configuration with --config",
         )?;
         let rows = store.lookups_of(&self.name)?;
-        let before = rows.iter().rev().find(|row| {
-            row.state == ihd_store::LookupState::Superseded && row.version != on_device
-        });
+        let before = ihd_store::superseded_lookups(&rows, on_device).next();
         let row = before.with_context(|| {
             format!(
                 "the store {} holds no lookup of {} that was active before",
