@@ -119,7 +119,7 @@ impl Board {
             .args(["-kernel", &IMAGE])
             .stdin(Stdio::null())
             .spawn()
-            .expect("`cargo xtask setup` installs qemu-system-arm");
+            .expect("`cargo xtask test --only setup` installs qemu-system-arm");
         Self {
             qemu,
             link,

@@ -1,4 +1,4 @@
-//! `cargo xtask budget`: memory of the board's image, module by module, and a check that the sampling path cannot panic.
+//! `cargo xtask test --only budget`: memory of the board's image, module by module, and a check that the sampling path cannot panic.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

@@ -25,8 +25,6 @@ const LOCK: &str = "package-lock.json";
 pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     let browser = tools()?;
     let modules = modules(on)?;
-    // The step "tests" has built it, features included; this builds only if that step did not run.
-    run(&mut on.whole("test", "--lib --bins --tests --no-run --quiet"))?;
     run(&mut node(on, "host/ui/tests/*.test.mjs"))?;
     // Test files run in parallel: they wait more than they compute. The long form measures, and therefore runs one at a time.
     let files = match full {
@@ -34,7 +32,7 @@ pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
         false => "--test-concurrency=3 tests/dashboard/*.test.mjs",
     };
     let mut test = node(on, files);
-    test.env("IHD_BIN", on.program("ihd"))
+    test.env("IHD_BIN", on.program("ihd")?)
         .env("IHD_CHROMIUM", browser)
         .env("IHD_DASHBOARD_MODULES", modules);
     if full {

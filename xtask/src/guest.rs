@@ -13,14 +13,12 @@ use crate::{board, emulator};
 pub fn test(workspace: &Workspace, image: &Path, full: bool) -> anyhow::Result<()> {
     let qemu = emulator::find(workspace, emulator::X86)?;
     let guest = find(workspace)?;
-    // The step "tests" has built it; this builds only if that step did not run.
-    run(&mut workspace.whole("test", "--lib --bins --tests --no-run --quiet"))?;
     let mut test = board::run_tests(workspace, &["usb_linux"], full)?;
-    // One after the other: each keeps two cores busy, the guest's and the chip's.
+    // Other steps run beside it.
     test.env("NEXTEST_TEST_THREADS", "1");
     test.env("IHD_QEMU_X86", qemu).env("IHD_GUEST", guest);
     test.env("IHD_STM32G474_IMAGE", image)
-        .env("IHD_PROGRAM", workspace.program("ihd"));
+        .env("IHD_PROGRAM", workspace.program("ihd")?);
     run(&mut test)
 }
 

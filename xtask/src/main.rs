@@ -67,9 +67,6 @@ enum Chore {
         #[arg(long)]
         under_load: bool,
     },
-    /// Find or install the tools of the build, and report the result.
-    #[command(after_help = "Example:\n  cargo xtask setup")]
-    Setup,
     /// Build the firmware's images: for the board, for the emulator, and to count instructions.
     #[command(after_help = "Examples:\n  \
         cargo xtask firmware\n  \
@@ -81,10 +78,8 @@ enum Chore {
     },
     /// Make a release in target/dist: archive and .deb for this machine's Linux, archive and installer for Windows,
     /// firmware, SBOM, checksums.
-    #[command(after_help = "Example:\n  cargo xtask dist")]
     Dist,
     /// Make one book of the documents, to search in a browser: target/book/html/index.html.
-    #[command(after_help = "Example:\n  cargo xtask docs")]
     Docs,
     /// Flash an image through a debug probe and show its log, until ^C: what `cargo run` in firmware/ does.
     ///
@@ -95,11 +90,6 @@ enum Chore {
         /// The image, as cargo has linked it
         image: PathBuf,
     },
-    /// Print the flash and RAM that each module of the image takes, and check firmware/budget.toml.
-    ///
-    /// Also shows that no call from the sampling path leads to a panic.
-    #[command(after_help = "Example:\n  cargo xtask budget")]
-    Budget,
     /// Count the firmware's instructions on an emulated Cortex-M4F, against firmware/budget.toml.
     #[command(after_help = "Example:\n  cargo xtask cycles --write")]
     Cycles {
@@ -111,7 +101,6 @@ enum Chore {
     ///
     /// The board's part needs probe-rs and is skipped, with a message, where either is missing. It overwrites
     /// the board's program: `ihd flash` brings it back.
-    #[command(after_help = "Example:\n  cargo xtask target-tests")]
     TargetTests,
     /// Run the board's image on an emulated STM32G474 with the simulated power stage, its link on TCP.
     ///
@@ -134,13 +123,12 @@ enum Chore {
     /// target/fuzz-corpus, what fails in target/fuzz-artifacts; the committed corpus stays as it is.
     #[command(after_help = "Examples:\n  \
         cargo xtask fuzz\n  \
-        cargo xtask fuzz 60\n  \
-        cargo xtask fuzz import 300")]
+        cargo xtask fuzz import --seconds 300")]
     Fuzz {
         /// The target; default: all in turn
         target: Option<String>,
-        /// Seconds for each target, 0 until interrupted
-        #[arg(default_value_t = 10)]
+        /// Time for each target, 0 until interrupted
+        #[arg(long, default_value_t = 10)]
         seconds: u64,
     },
 }
@@ -179,19 +167,15 @@ fn run(cli: Cli) -> anyhow::Result<()> {
                 false => all(),
             }
         }
-        Chore::Setup => session.set_up(),
         Chore::Firmware { .. } => session.images(),
         Chore::Dist => session.dist(),
         Chore::Docs => dist::book(&session.workspace),
         Chore::Run { image } => images::run_on_board(&session.workspace, &image),
-        Chore::Budget => session.budget(),
         Chore::Cycles { write } => session.cycles(write),
         Chore::TargetTests => session.target_tests(),
         Chore::Hob { image, options } => session.hob(image, &options),
-        // A number alone is the time: no target has such a name.
-        Chore::Fuzz { target, seconds } => match target.as_deref().map(str::parse) {
-            Some(Ok(seconds)) => fuzz::fuzz(&session.workspace, None, seconds),
-            _ => fuzz::fuzz(&session.workspace, target.as_deref(), seconds),
-        },
+        Chore::Fuzz { target, seconds } => {
+            fuzz::fuzz(&session.workspace, target.as_deref(), seconds)
+        }
     }
 }

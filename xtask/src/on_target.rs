@@ -2,14 +2,14 @@
 //! QEMU, which has the core but no peripherals of the part.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use anyhow::{Context, ensure};
 use object::{Object, ObjectSection, ObjectSymbol};
 use serde::Deserialize;
 
 use crate::toolchain::{self, TARGET};
-use crate::workspace::{Workspace, first_line, run};
+use crate::workspace::{Workspace, run};
 use crate::{emulator, images};
 
 const MANIFEST: &str = "firmware/on-target/Cargo.toml";
@@ -34,10 +34,7 @@ fn build(on: &Workspace, board: bool) -> anyhow::Result<PathBuf> {
         build.args(["--features", "stm32g474"]);
     }
     let output = build.stderr(Stdio::inherit()).output()?;
-    ensure!(
-        output.status.success(),
-        "the tests on the controller do not build"
-    );
+    ensure!(output.status.success(), "the tests do not build");
     let text = String::from_utf8_lossy(&output.stdout);
     let executable = |line: &str| {
         let message: serde_json::Value = serde_json::from_str(line).ok()?;
@@ -95,19 +92,7 @@ pub fn in_emulator(on: &Workspace, qemu: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs the tests on the board behind a debug probe; reports if there is none.
+/// Runs the tests on the board behind a debug probe.
 pub fn on_board(on: &Workspace) -> anyhow::Result<()> {
-    let Some(version) = first_line(Command::new("probe-rs").arg("--version")) else {
-        println!(
-            "on target, board: skipped, as probe-rs is not installed (`cargo install probe-rs-tools --locked`)"
-        );
-        return Ok(());
-    };
-    let list = Command::new("probe-rs").arg("list").output()?;
-    if !String::from_utf8_lossy(&list.stdout).contains("[0]") {
-        println!("on target, board: skipped, as {version} sees no debug probe");
-        return Ok(());
-    }
-    let image = build(on, true)?;
-    images::probe_rs_run(&image)
+    images::probe_rs_run(&build(on, true)?)
 }

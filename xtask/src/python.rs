@@ -32,7 +32,7 @@ pub fn test(on: &Workspace, full: bool) -> anyhow::Result<()> {
     let path = std::env::join_paths([&site, &tools])?;
     tests
         .env("PYTHONPATH", path)
-        .env("IHD_PROGRAM", on.program("ihd"))
+        .env("IHD_PROGRAM", on.target.join("debug/ihd"))
         // The checkout stays as it is.
         .env("PYTHONDONTWRITEBYTECODE", "1");
     tests.args(["-W", "error", "-m", "unittest", "discover", "--verbose"]);

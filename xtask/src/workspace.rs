@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::env;
 use std::ffi::OsStr;
-use std::io::{BufRead, BufReader, IsTerminal, Write};
+use std::io::{BufRead, BufReader, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{ChildStderr, Command, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -53,10 +53,11 @@ impl Workspace {
         command
     }
 
-    /// A program that the tests have built.
-    pub fn program(&self, name: &str) -> PathBuf {
+    /// Builds what the step "tests" builds, all at once if that step did not run, and returns a program of it.
+    pub fn program(&self, name: &str) -> anyhow::Result<PathBuf> {
+        run(&mut self.whole("test", "--lib --bins --tests --no-run --quiet"))?;
         let program = self.target.join("debug").join(name);
-        program.with_extension(env::consts::EXE_EXTENSION)
+        Ok(program.with_extension(env::consts::EXE_EXTENSION))
     }
 
     /// Returns `cargo <subcommand>` that also lints: Clippy's compiler is rustc with more lints, so no second compilation is
@@ -122,19 +123,41 @@ pub fn run(command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Runs a command whose output is shown in one piece when it has ended.
+pub fn run_apart(mut command: Command) -> anyhow::Result<()> {
+    let line = spelled(&command);
+    let (mut output, writer) = std::io::pipe()?;
+    let child = command.stdout(writer.try_clone()?).stderr(writer).spawn();
+    let mut child = child.with_context(|| format!("could not start `{line}`"))?;
+    // Its ends of the pipe, without which the output would not end.
+    drop(command);
+    let mut text = String::new();
+    output.read_to_string(&mut text)?;
+    print!("{text}");
+    text.lines().for_each(|line| count(line, "host"));
+    let status = child.wait()?;
+    ensure!(status.success(), "`{line}` failed ({status}); see above");
+    Ok(())
+}
+
 /// Copies a command's messages to standard error and counts the packages that cargo compiles.
 fn pass_on(stderr: ChildStderr, target: &str) -> anyhow::Result<()> {
     let mut lines = BufReader::new(stderr);
     let mut line = Vec::new();
     while lines.read_until(b'\n', &mut line)? > 0 {
         std::io::stderr().write_all(&line)?;
-        if let Some(package) = compiled(&String::from_utf8_lossy(&line)) {
-            let mut all = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
-            *all.entry(format!("{package} ({target})")).or_default() += 1;
-        }
+        count(&String::from_utf8_lossy(&line), target);
         line.clear();
     }
     Ok(())
+}
+
+/// Counts the package that cargo compiles, if the line says so.
+fn count(line: &str, target: &str) {
+    if let Some(package) = compiled(line) {
+        let mut all = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);
+        *all.entry(format!("{package} ({target})")).or_default() += 1;
+    }
 }
 
 /// Name and version in cargo's line about a compiled package, coloured or not.

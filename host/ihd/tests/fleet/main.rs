@@ -1,4 +1,4 @@
-//! Tests of the fleet with a real NATS server (installed by `cargo xtask setup`): kills of each process, persistence of JetStream, rights of each
+//! Tests of the fleet with a real NATS server (installed by `cargo xtask test --only setup`): kills of each process, persistence of JetStream, rights of each
 //! key, MQTT.
 #![cfg(all(feature = "fleet", target_os = "linux"))]
 

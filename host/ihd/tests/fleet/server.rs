@@ -13,7 +13,7 @@ use tempfile::TempDir;
 
 use super::site::{PATIENCE, until};
 
-/// Environment variable with another program than that of `cargo xtask setup`.
+/// Environment variable with another program than that of `cargo xtask test --only setup`.
 pub const PROGRAM: &str = "IHD_NATS_SERVER";
 
 /// Period of polling in a wait.
@@ -283,7 +283,7 @@ impl Drop for Server {
     }
 }
 
-/// Returns the program: `IHD_NATS_SERVER`, else that of `cargo xtask setup` beside the build, else one on the PATH.
+/// Returns the program: `IHD_NATS_SERVER`, else that of `cargo xtask test --only setup` beside the build, else one on the PATH.
 pub fn program() -> PathBuf {
     if let Some(named) = std::env::var_os(PROGRAM) {
         return named.into();
@@ -315,7 +315,7 @@ fn spawn(folder: &Path, start: usize) -> io::Result<Child> {
         .stderr(File::create(folder.join("stderr"))?);
     command.spawn().map_err(|why| {
         let what = format!(
-            "{:?} does not start ({why}): `cargo xtask setup` brings it, or name one in {PROGRAM}",
+            "{:?} does not start ({why}): `cargo xtask test --only setup` brings it, or name one in {PROGRAM}",
             program()
         );
         io::Error::new(why.kind(), what)
