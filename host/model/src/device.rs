@@ -116,7 +116,7 @@ pub struct WindowCounts {
     pub dropped_by_device: u64,
     /// Windows lost on the link, or dropped there as being beyond the rate of a hob.
     pub lost: u64,
-    /// Windows that arrived whole and were dropped because the store was too slow or full.
+    /// Windows that arrived whole and were dropped because the store was too slow or full, or has one of the same boot and number.
     pub not_stored: u64,
     /// Stored windows that passed the gate.
     pub learned: u64,

@@ -95,6 +95,7 @@ pub(crate) fn processor(
         (0x4000_0000, 0x2_8000),
         (0x4800_0000, 0x2000),
         (0x5000_0000, 0x2000),
+        (0x5006_0000, 0x1000),
     ] {
         map_registers(&mut cpu, base, bytes)?;
     }

@@ -18,7 +18,7 @@ import xml.etree.ElementTree as ET
 
 # What the firmware touches; anything else that it would touch is reported by the emulator.
 WANTED = ("FLASH RCC PWR GPIOA GPIOB GPIOC EXTI SYSCFG COMP DAC1 ADC1 ADC2 ADC3 ADC12_Common ADC345_Common DMA1 DMAMUX "
-          "HRTIM_Master HRTIM_TIMA HRTIM_TIMB HRTIM_Common LPUART1 USB_FS_device IWDG CRS DBGMCU CRC TIM2 TIM16 ADC4").split()
+          "HRTIM_Master HRTIM_TIMA HRTIM_TIMB HRTIM_Common LPUART1 USB_FS_device IWDG CRS DBGMCU CRC TIM2 TIM16 ADC4 RNG").split()
 
 
 def number(text):

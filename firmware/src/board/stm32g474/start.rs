@@ -103,9 +103,11 @@ fn main() -> ! {
 
 fn hello(flags: reset::ResetFlags, last: Option<reset::CrashRecord>) -> Hello {
     let build = concat!("ihd-firmware ", env!("CARGO_PKG_VERSION"));
-    // Starts since power-on, made different from other boards' by the chip's number.
-    let starts = last.map_or(0, |record| u32::from(record.starts) + 1);
-    let boot_id = uid::uid().iter().fold(starts, |id, &byte| {
+    // Noise, as nothing else differs from one power-on to the next; else the starts since power-on. The chip's number makes both
+    // different from other boards'.
+    let starts = || last.map_or(0, |record| u32::from(record.starts) + 1);
+    let seed = registers::random::word().unwrap_or_else(starts);
+    let boot_id = uid::uid().iter().fold(seed, |id, &byte| {
         id.wrapping_mul(0x0100_0193) ^ u32::from(byte)
     });
     let mut hello = ours(ROLE_DEVICE, 0, boot_id, build, "stm32g474");

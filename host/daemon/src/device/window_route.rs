@@ -5,7 +5,7 @@ use std::sync::Arc;
 use ihd_link::Window;
 use ihd_model::{EventKind, RecordKind};
 use ihd_signal::truth::Truth;
-use ihd_store::{CurveSource, DeviceId, SessionId, Store, StoreError};
+use ihd_store::{CurveSource, DeviceId, InsertOutcome, SessionId, Store, StoreError};
 
 use super::session::{DeviceSession, StoredIds};
 use crate::device_record::DeviceRecord;
@@ -49,10 +49,14 @@ impl WindowRoute {
         let for_fleet = is_learnable && self.delegation.is_edge;
         let stored = store.keep_window_for(self.session, &window, for_fleet);
         self.count(match &stored {
-            Ok(_) => WindowCounter::Stored,
-            Err(_) => WindowCounter::NotStored,
+            Ok((InsertOutcome::New, _)) => WindowCounter::Stored,
+            Ok((InsertOutcome::Known, _)) | Err(_) => WindowCounter::NotStored,
         });
-        let (_, is_due) = stored?;
+        let (outcome, is_due) = stored?;
+        if outcome == InsertOutcome::Known {
+            // Another window of a boot with the same number: what was learned from the stored one stays.
+            return Ok(());
+        }
         let (boot, seq) = (self.boot, window.seq);
         if let Some(truth) = &truth {
             let curve = truth_curve(truth, &window);

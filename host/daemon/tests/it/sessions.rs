@@ -141,6 +141,21 @@ async fn a_device_that_was_reset_begins_anew() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_boot_with_the_number_of_another_replaces_nothing_that_is_stored() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    rig.bench().panel(6);
+    until(&daemon, |r| r.windows.stored >= 3).await;
+    daemon.stop().await;
+    rig.bench().replace(&HobConfig::default());
+    let daemon = rig.daemon().await;
+    rig.bench().panel(6);
+    let windows = until(&daemon, |r| r.windows.not_stored >= 2).await.windows;
+    assert_eq!((windows.stored, windows.learned), (0, 0), "{windows:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_server_that_is_killed_is_found_again_over_tcp() {
     let folder = tempfile::tempdir().unwrap();
     let server = Tcp::start("127.0.0.1:0", 5);

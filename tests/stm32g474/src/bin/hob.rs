@@ -2,6 +2,7 @@
 
 use std::net::TcpListener;
 use std::path::PathBuf;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
 use clap::{Parser, ValueEnum};
@@ -9,6 +10,7 @@ use ihd_sim::behavioural::PotKind;
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
+use ihd_stm32g474::chip::random::Random;
 use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::pins::front_end;
 use ihd_stm32g474::server;
@@ -61,7 +63,10 @@ fn main() -> anyhow::Result<()> {
         mains = mains.changed(0.0, mains.v_rms_v(), hz);
     }
     let plant = Plant::with_load(mains, pot, load, front_end(1));
-    let machine = Machine::new(&arguments.image, plant)?;
+    let mut machine = Machine::new(&arguments.image, plant)?;
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH);
+    let seed = since_1970.map_or(0, |t| t.as_micros() as u64);
+    machine.chip().random = Random::new(seed);
     let listener = TcpListener::bind(&arguments.listen)
         .with_context(|| format!("cannot listen on {}", arguments.listen))?;
     println!(

@@ -37,6 +37,9 @@ impl Chip {
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
             a if in_block(a, reg::flash::BASE, 0x400) => self.flash.read(a, &self.file),
+            a if in_block(a, reg::rng::BASE, 0x400) => {
+                self.random.read(a, &self.file, &mut self.log)
+            }
             reg::gpioa::idr::ADDRESS => self.levels(0),
             reg::gpiob::idr::ADDRESS => self.levels(1),
             reg::gpioc::idr::ADDRESS => self.levels(2),
@@ -170,6 +173,7 @@ impl Chip {
                 clocks::after_rcc_write(a, before, file, log)
             }
             a if in_block(a, reg::pwr::BASE, 0x400) => clocks::after_pwr_write(file, log),
+            reg::rng::cr::ADDRESS => self.random.enable(file, log.now),
             reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
             _ => {}
         }

@@ -8,6 +8,7 @@ pub mod dma;
 pub mod flash;
 pub mod hrtim;
 pub mod low_speed;
+pub mod random;
 pub mod register_file;
 pub mod serial;
 pub mod timer_2;
@@ -26,6 +27,7 @@ use self::dma::{Dma, Transfer};
 use self::flash::FlashController;
 use self::hrtim::{Bridge, Hrtim};
 use self::low_speed::{Capture, Lsi};
+use self::random::Random;
 use self::register_file::RegisterFile;
 use self::serial::Serial;
 use self::timer_2::Timer2;
@@ -86,6 +88,8 @@ pub struct Chip {
     pub flash: FlashController,
     /// Independent watchdog.
     pub watchdog: Watchdog,
+    /// Random number generator.
+    pub random: Random,
     /// Circuits at the pins.
     pub pins: Pins,
     /// Low-speed oscillator.
@@ -130,6 +134,7 @@ impl Chip {
             usb: Usb::new(),
             flash: FlashController::with(pages),
             watchdog: Watchdog::default(),
+            random: Random::new(1),
             pins,
             lsi: Lsi::default(),
             loses_triggers: false,
@@ -202,6 +207,7 @@ impl Chip {
         self.usb = Usb::new();
         self.nvic = Nvic::default();
         self.watchdog = self.watchdog.after_reset();
+        self.random = self.random.after_reset();
         self.adcs = [0, 1, 2, ADC4].map(Converter::new);
         self.checksum = Checksum::default();
         self.capture = Capture::default();

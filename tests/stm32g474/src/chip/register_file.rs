@@ -7,7 +7,7 @@ use crate::registers::{Field, REGISTERS, rcc};
 use crate::violation::Log;
 
 /// Words of address space in the ranges that have registers.
-const PLACES: usize = 0xB400;
+const PLACES: usize = 0xB500;
 
 /// Number of the register plus 1 for each word of address space, or 0. Registers are looked up some ten times in each block of
 /// code; hashing their addresses took half of the emulator's time.
@@ -25,6 +25,7 @@ fn place(address: u32) -> Option<usize> {
     let (first, base, bytes) = match address >> 24 {
         0x40 => (0, 0x4000_0000, 0x2_8000),
         0x48 => (0xA000, 0x4800_0000, 0x2000),
+        0x50 if address >> 16 == 0x5006 => (0xB400, 0x5006_0800, 0x400),
         0x50 => (0xA800, 0x5000_0000, 0x2000),
         0xE0 => (0xB000, 0xE004_2000, 0x1000),
         _ => return None,
@@ -58,6 +59,7 @@ pub fn clock_of(peripheral: &str) -> Option<Field> {
         "USB_FS_device" => rcc::rcc_apb1enr1::USBEN,
         "LPUART1" => rcc::rcc_apb1enr2::LPUART1EN,
         "TIM2" => rcc::rcc_apb1enr1::TIM2EN,
+        "RNG" => rcc::rcc_ahb2enr::RNGEN,
         "TIM16" => rcc::rcc_apb2enr::TIM16EN,
         "SYSCFG" | "COMP" => rcc::rcc_apb2enr::SYSCFGEN,
         "HRTIM_Master" | "HRTIM_TIMA" | "HRTIM_TIMB" | "HRTIM_Common" => rcc::rcc_apb2enr::HRTIM1EN,

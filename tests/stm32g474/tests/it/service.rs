@@ -150,6 +150,28 @@ fn a_restart_is_told_as_one_that_software_asked_for() {
 }
 
 #[test]
+fn no_two_starts_have_the_same_boot_id() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut ids = vec![connect(&bench).hello().boot_id];
+    let mut power_cycle = |without_noise| {
+        bench.with(move |machine| {
+            machine.chip().random.broken = without_noise;
+            machine.power_cycle().unwrap();
+        });
+        bench.run_s(0.1);
+        ids.push(connect(&bench).hello().boot_id);
+    };
+    power_cycle(false);
+    power_cycle(false);
+    // Without noise it starts all the same.
+    power_cycle(true);
+    assert_no_violations(&bench);
+    ids.sort_unstable();
+    ids.dedup();
+    assert_eq!(ids.len(), 4, "{ids:x?}");
+}
+
+#[test]
 fn while_it_heats_nothing_of_it_is_done() {
     let bench = with_pot(PotKind::Ferromagnetic);
     let mut client = connect(&bench);

@@ -18,6 +18,7 @@ pub mod comparators;
 pub mod dma;
 pub mod faults;
 pub mod low_speed;
+pub mod random;
 pub mod sampling_watchdog;
 pub mod supply;
 pub mod usb_frame;
