@@ -1,7 +1,7 @@
 //! Access to memory while the program runs.
 //!
-//! A session of probe-rs halts the core at its beginning and end to clear breakpoints, for some twenty transfers. A switching
-//! bridge is unprotected in that time. Accesses that only read therefore use the debug port alone.
+//! A session of probe-rs halts the core at its beginning and end to clear breakpoints, for some twenty transfers. That opens the
+//! bridge of a hob that heats. Accesses that only read therefore use the debug port alone.
 
 use std::fmt;
 

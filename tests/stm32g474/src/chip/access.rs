@@ -12,6 +12,9 @@ use super::register_file::RegisterFile;
 const PMA: u32 = 0x4000_6000;
 const PMA_BYTES: u32 = 0x400;
 
+/// First address of the processor's own registers and of DBGMCU.
+const SYSTEM: u32 = 0xE000_0000;
+
 /// Address distance between the registers of two neighbouring ports.
 const PORT_BYTES: u32 = 0x400;
 
@@ -224,6 +227,7 @@ impl Chip {
             // DBGMCU_IDCODE of a category 3 device, revision X (RM0440 47.6.1).
             0x42000 => 0x2003_6469,
             CYCCNT => (self.cycles - self.cycle_origin) as u32,
+            0x4_2004..0x4_3000 => self.file.word(SYSTEM + offset),
             0xE000..0xF000 => {
                 let inside = offset - 0xE000;
                 self.nvic
@@ -240,6 +244,12 @@ impl Chip {
         const AIRCR: u32 = 0xED0C;
         match offset {
             CYCCNT => self.cycle_origin = self.cycles - u64::from(value),
+            0x4_2004..0x4_3000 => {
+                let address = SYSTEM + offset;
+                if self.file.check_access(address, Some(value), &mut self.log) {
+                    self.file.set_word(address, value);
+                }
+            }
             // VECTKEY and SYSRESETREQ.
             AIRCR if value >> 16 == 0x05FA && value & 4 != 0 => self.reset = Some(Reset::Software),
             0xE000..0xF000 if self.nvic.write(offset - 0xE000, bytes, value) => {}

@@ -63,6 +63,8 @@ pub struct Hrtim {
     /// Time at which the outputs last went off.
     pub off_at: Option<Ticks>,
     dead_time_locked: bool,
+    /// Time at which a debugger halted the core; the counters stand still since then.
+    frozen_at: Option<Ticks>,
 }
 
 const OUTPUT_1: u32 = 1;
@@ -83,7 +85,10 @@ const PRELOADED: [&[u32]; 2] = [
 impl Hrtim {
     /// Time of the next trigger of the ADCs by timer B: its compare 3, if HRTIM_ADC1R selects it.
     pub fn next_trigger(&self, file: &RegisterFile, now: Ticks) -> Option<Ticks> {
-        let on = self.b.running && self.b.period > 0 && file.is(hrtim_common::adc1r::AD1TBC3);
+        let on = self.b.running
+            && self.frozen_at.is_none()
+            && self.b.period > 0
+            && file.is(hrtim_common::adc1r::AD1TBC3);
         on.then(|| {
             let compare = Ticks::from(self.in_force(1, hrtim_timb::cmp3br::ADDRESS));
             let period = Ticks::from(self.b.period);
@@ -101,7 +106,7 @@ impl Hrtim {
 
     fn repetition(&self, timer: usize, file: &RegisterFile) -> Option<Ticks> {
         let counter = [&self.a, &self.b][timer];
-        if !counter.running || counter.period == 0 {
+        if !counter.running || self.frozen_at.is_some() || counter.period == 0 {
             return None;
         }
         let (by_repetition, repetitions) = if timer == 0 {
@@ -191,6 +196,20 @@ impl Hrtim {
         }
     }
 
+    /// Handles a halt of the core with DBG_HRTIM_STOP = 1: the counters stand still, and outputs in RUN state enter FAULT state,
+    /// which lasts until software enables them again (RM0440, 27.3.22, "HRTIM output states and transitions").
+    pub fn freeze(&mut self, now: Ticks) {
+        self.frozen_at.get_or_insert(now);
+        self.switch_off(now);
+    }
+
+    /// Handles the end of a halt: the counters go on from where they stood.
+    pub fn thaw(&mut self, now: Ticks) {
+        let stood = self.frozen_at.take().map_or(0, |at| now - at);
+        self.a.started += stood;
+        self.b.started += stood;
+    }
+
     /// Reads a register whose content is computed.
     pub fn read(&mut self, address: u32, file: &RegisterFile, now: Ticks) -> u32 {
         let word = file.word(address);
@@ -202,8 +221,8 @@ impl Hrtim {
             hrtim_common::oenr::ADDRESS => {
                 u32::from(self.enabled[0]) | u32::from(self.enabled[1]) << 1
             }
-            hrtim_tima::cntar::ADDRESS => self.a.count(now),
-            hrtim_timb::cntr::ADDRESS => self.b.count(now),
+            hrtim_tima::cntar::ADDRESS => self.a.count(self.frozen_at.unwrap_or(now)),
+            hrtim_timb::cntr::ADDRESS => self.b.count(self.frozen_at.unwrap_or(now)),
             _ => word,
         }
     }

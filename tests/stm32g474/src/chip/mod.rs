@@ -47,6 +47,17 @@ const USB_POLL: Ticks = us(25);
 /// Pairs of comparator and fault input of HRTIM, both from 0 (RM0440, table 221): COMP2 on input 1, COMP1 on input 4.
 const COMPARATOR_INPUTS: [(usize, usize); 2] = [(0, 3), (1, 0)];
 
+/// Registers of DBGMCU, which only power-on resets (RM0440, 47.16).
+const KEPT_BY_DEBUG: [u32; 4] = {
+    use reg::dbgmcu::{apb1h_fz, apb1l_fz, apb2_fz, cr};
+    [
+        cr::ADDRESS,
+        apb1l_fz::ADDRESS,
+        apb1h_fz::ADDRESS,
+        apb2_fz::ADDRESS,
+    ]
+};
+
 /// Cause of a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reset {
@@ -170,7 +181,13 @@ impl Chip {
         let options = self.file.word(reg::flash::flash_optr::ADDRESS);
         let flags = self.file.word(reg::rcc::rcc_csr::ADDRESS) & 0xFE00_0000;
         let was_on = self.hrtim.bridge(&self.file) != Bridge::Open;
+        let kept_by_debug = KEPT_BY_DEBUG.map(|address| (address, self.file.word(address)));
         self.file = RegisterFile::default();
+        if why != Reset::Power {
+            for (address, value) in kept_by_debug {
+                self.file.set_word(address, value);
+            }
+        }
         let (cause, options) = match why {
             Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
             Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
@@ -455,6 +472,19 @@ impl Chip {
             self.hrtim.system_fault(&mut self.file, now);
             self.drive_pins();
         }
+    }
+
+    /// Handles a halt of the core by a debugger, or its end: DBGMCU_APB2FZR decides whether HRTIM stops. ST's SVD calls the bit
+    /// DBG_HRTIM0_STOP, its HAL DBG_HRTIM1_STOP.
+    pub fn set_core_halted(&mut self, halted: bool) {
+        let now = self.log.now;
+        if !halted {
+            self.hrtim.thaw(now);
+        } else if self.file.is(reg::dbgmcu::apb2_fz::DBG_HRTIM0_STOP) {
+            self.hrtim.freeze(now);
+        }
+        self.next_trigger = self.hrtim.next_trigger(&self.file, now);
+        self.drive_pins();
     }
 
     /// Drives the bridge's pins, which carry HRTIM's outputs only in alternate function 13 (DS12288, table 13).

@@ -70,7 +70,7 @@ impl Machine {
         self.locked_up
     }
 
-    /// Halts the processor; peripherals continue.
+    /// Halts the processor; peripherals continue that DBGMCU does not stop.
     ///
     /// # Errors
     /// The emulator fails.
@@ -80,8 +80,15 @@ impl Machine {
             self.chip().flash.is_debugged = true;
             self.watch_flash()?;
         }
-        self.debugger.stands.get_or_insert(Stands::Halted);
+        self.stop(Stands::Halted);
         Ok(())
+    }
+
+    fn stop(&mut self, why: Stands) {
+        if self.debugger.stands.is_none() {
+            self.debugger.stands = Some(why);
+            self.chip().set_core_halted(true);
+        }
     }
 
     /// Continues after a halt.
@@ -95,6 +102,7 @@ impl Machine {
             let state = self.cpu.get_data_mut();
             state.timing.forget();
             (state.sleeping, state.stopped_at) = (false, None);
+            state.chip.set_core_halted(false);
         }
         Ok(())
     }
@@ -111,7 +119,7 @@ impl Machine {
             // An error is ignored: the next run handles or reports an instruction that a step cannot execute.
             let _ = self.cpu.emu_start(u64::from(pc | 1), u64::MAX, 0, 1);
         }
-        self.debugger.stands.get_or_insert(Stands::Halted);
+        self.stop(Stands::Halted);
         Ok(())
     }
 
@@ -204,7 +212,7 @@ impl Machine {
             return false;
         };
         self.set_pc(at);
-        self.debugger.stands = Some(Stands::Breakpoint);
+        self.stop(Stands::Breakpoint);
         true
     }
 

@@ -7,6 +7,7 @@ use ihd_debug_port::probe::Desk;
 use ihd_flash::install::{InstallError, InstallPlan, InstallReport, install};
 use ihd_flash::probe::Probes;
 use ihd_flash::{Erase, Image, ProgramError, WriteProgress};
+use ihd_shared::fault::Fault;
 use ihd_shared::image::FLASH_ADDRESS;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
@@ -14,8 +15,10 @@ use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_sim::recording::settings::LoadKind;
 use ihd_stm32g474::bench::Bench;
+use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::debugged::DebuggedBoard;
 use ihd_stm32g474::pins::front_end;
+use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{IMAGE, assert_no_violations, connect, with_pot};
 
@@ -103,6 +106,29 @@ fn while_it_heats_nothing_is_written_and_the_bridge_goes_on() {
     assert_eq!((after.state, after.fault), (State::Heating, before.fault));
     let (off_at, resets) = bench.with(|m| (m.chip().hrtim.off_at, m.resets.len()));
     assert_eq!((off_at, resets), (None, 0));
+    assert_no_violations(&bench);
+}
+
+/// RM0440, 27.3.22: with DBG_HRTIM_STOP = 1 a halt of the core puts the outputs into FAULT state, for good.
+#[test]
+fn a_halt_while_it_heats_opens_the_bridge_at_once_and_is_a_fault() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    connect(&bench).set_power(1_200).unwrap();
+    bench.run_s(0.2);
+    let (off_us, bridge) = bench.with(|machine| {
+        machine.chip().hrtim.off_at = None;
+        let began = machine.now();
+        machine.halt().unwrap();
+        machine.run_for(us(2_000)).unwrap();
+        let off = machine.chip().hrtim.off_at.expect("the outputs went off");
+        machine.go_on().unwrap();
+        machine.run_for(us(2_000)).unwrap();
+        (seconds(off - began) * 1e6, machine.chip().pins.bridge())
+    });
+    assert!(off_us < 1.0, "{off_us} µs");
+    assert_eq!(bridge, Bridge::Open);
+    let status = connect(&bench).status().unwrap();
+    assert_eq!(status.fault, Fault::SAMPLES_LOST);
     assert_no_violations(&bench);
 }
 

@@ -46,6 +46,9 @@ const PVD_LEVEL: u8 = 6;
 
 /// Arms all of it; locked until reset.
 pub fn start() {
+    // DBGMCU_APB2FZR, DBG_HRTIM_STOP: a halt of the core by a debugger puts the outputs into FAULT state, where they stay (HRTIM,
+    // "HRTIM output states and transitions"). The bit is 26: `hrtim0` in ST's SVD and here, HRTIM1 in ST's HAL.
+    pac::DBGMCU.apb2fzr().modify(|w| w.set_hrtim0(true));
     start_inputs();
     start_supply_detector();
     // SYSCFG_CFGR2: lock-up, RAM parity, ECC and supply reach HRTIM's system fault. PVDL also locks

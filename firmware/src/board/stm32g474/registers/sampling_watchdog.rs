@@ -4,7 +4,8 @@
 //! block taken ─► feed: TIM2 from 0     TIM2 ≥ 0.5 ms ─► OC1REF ─► TRGO ─► HRTIM external event 2 ─► fault input 2 ─► outputs off
 //! ```
 //!
-//! No pin, interrupt or DMA lies in between. TIM2 counts on while a debugger halts the processor (DBGMCU, DBG_TIM2_STOP = 0).
+//! No pin, interrupt or DMA lies in between. TIM2 counts on while a debugger halts the processor (DBGMCU, DBG_TIM2_STOP = 0),
+//! so that the halt, which opens the bridge ([`faults::start`]), is reported.
 //! The independent watchdog needs 58 ms for the same, as it waits for the thread.
 
 use embassy_stm32::pac;
