@@ -189,6 +189,11 @@ impl Pins {
         }
     }
 
+    /// Returns `true` for each comparator whose input has been above the threshold for longer than the filter.
+    pub fn comparators_above(&self) -> [bool; 2] {
+        [0, 1].map(|k| self.comparators[k].is_some_and(|one| self.above_s[k] > one.filter_s))
+    }
+
     /// State of the bridge.
     pub fn bridge(&self) -> Bridge {
         self.bridge

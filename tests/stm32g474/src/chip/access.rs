@@ -130,10 +130,12 @@ impl Chip {
     }
 
     fn write_word(&mut self, address: u32, bytes: usize, before: u32, value: u32) {
+        let active_faults = self.active_faults();
         let (file, log) = (&mut self.file, &mut self.log);
         let hclk_hz = clocks::hclk_hz(file);
         let stored = match address {
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => {
+                self.hrtim.active_faults = active_faults;
                 self.hrtim.write(a, value, file, log)
             }
             a if in_block(a, reg::dma1::BASE, 0x400) => self.dma.write(a, value, file, log),
@@ -179,6 +181,9 @@ impl Chip {
             reg::rng::cr::ADDRESS => self.random.enable(file, log.now),
             reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
             _ => {}
+        }
+        if in_block(address, reg::pwr::BASE, 0x400) {
+            self.update_supply_detector();
         }
         let starts = |word: u32| reg::adc1::cr::ADSTART.extract(word) == 1;
         if address == reg::adc4::cr::ADDRESS

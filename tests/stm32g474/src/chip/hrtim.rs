@@ -9,6 +9,7 @@ use crate::registers::{hrtim_common, hrtim_master, hrtim_tima, hrtim_timb};
 use crate::time::{Ticks, us};
 use crate::violation::Log;
 
+pub use self::faults::ActiveFaults;
 use self::faults::{INPUTS, sources_written};
 use super::register_file::RegisterFile;
 
@@ -63,6 +64,8 @@ pub struct Hrtim {
     /// Time at which the outputs last went off.
     pub off_at: Option<Ticks>,
     dead_time_locked: bool,
+    /// Faults whose cause is there now.
+    pub active_faults: ActiveFaults,
     /// Time at which a debugger halted the core; the counters stand still since then.
     frozen_at: Option<Ticks>,
 }
@@ -411,9 +414,9 @@ impl Hrtim {
         if file.get(hrtim_tima::outar::FAULT1) != 2 || file.get(hrtim_tima::outar::FAULT2) != 2 {
             log.broken("outputs enabled whose fault state is not inactive (RM0440 27.5.28)");
         }
-        let tripped = file.word(hrtim_common::isr::ADDRESS) & armed & 0x1F != 0;
-        if tripped || file.is(hrtim_common::isr::SYSFLT) {
-            // An active fault keeps the outputs off (RM0440, 27.3.17).
+        let active = self.active_faults;
+        if active.inputs & armed != 0 || active.system {
+            // FAULT state, whether its flag is set or cleared (RM0440, "HRTIM output states and transitions").
             return;
         }
         for (output, bit) in [(0, OUTPUT_1), (1, OUTPUT_2)] {

@@ -5,6 +5,7 @@ pub mod adc;
 pub mod checksum;
 pub mod clocks;
 pub mod dma;
+mod fault_levels;
 pub mod flash;
 pub mod hrtim;
 pub mod low_speed;
@@ -105,6 +106,8 @@ pub struct Chip {
     pub pins: Pins,
     /// Low-speed oscillator.
     pub lsi: Lsi,
+    /// Supply below the detector's level.
+    supply_is_low: bool,
     /// Fault injection: every second trigger of the ADCs is lost.
     pub loses_triggers: bool,
     trigger_is_lost: bool,
@@ -148,6 +151,7 @@ impl Chip {
             random: Random::new(1),
             pins,
             lsi: Lsi::default(),
+            supply_is_low: false,
             loses_triggers: false,
             trigger_is_lost: false,
             adcs: [0, 1, 2, ADC4].map(Converter::new),

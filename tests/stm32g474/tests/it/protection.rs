@@ -2,16 +2,17 @@
 
 use ihd_shared::board::TRIP_CURRENT_MA;
 use ihd_shared::fault::Fault;
+use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::cpu::CycleModel;
 use ihd_stm32g474::cpu::nvic::NMI;
 use ihd_stm32g474::machine::Machine;
-use ihd_stm32g474::registers::{Field, dma1, exti, flash, hrtim_common, pwr, syscfg};
+use ihd_stm32g474::registers::{Field, dma1, flash, hrtim_common, syscfg};
 use ihd_stm32g474::time::{seconds, us};
 
-use crate::board::{Bench, connect, resets, with_pot};
+use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
 
 /// Board that heats.
 fn heating() -> Bench {
@@ -91,32 +92,50 @@ fn a_surge_below_the_level_does_not_trip() {
 #[test]
 fn system_faults_open_the_bridge_and_are_told_apart() {
     type Cause = fn(&mut Machine);
-    let causes: [(&str, Field, Fault, Cause); 2] = [
-        (
-            "supply",
-            syscfg::cfgr2::PVDL,
-            Fault::SUPPLY_LOW,
-            |machine| {
-                machine.chip().file.set(pwr::pwr_sr2::PVDO, 1);
-                let pending = machine.chip().file.word(exti::pr1::ADDRESS);
-                machine
-                    .chip()
-                    .file
-                    .set_word(exti::pr1::ADDRESS, pending | 1 << 16);
-            },
-        ),
-        ("lock-up", syscfg::cfgr2::CLL, Fault::CORE_LOCKUP, |_| ()),
+    let causes: [(&str, Fault, Cause); 2] = [
+        ("supply", Fault::SUPPLY_LOW, |machine| {
+            machine.chip().set_supply_low(true);
+        }),
+        ("lock-up", Fault::CORE_LOCKUP, |machine| {
+            machine.chip().system_fault(syscfg::cfgr2::CLL);
+        }),
     ];
-    for (name, connected_by, fault, cause) in causes {
+    for (name, fault, cause) in causes {
         let bench = heating();
-        let off_us = time_to_off(&bench, 5, move |machine| {
-            cause(machine);
-            machine.chip().system_fault(connected_by);
-        });
+        let off_us = time_to_off(&bench, 5, cause);
         println!("{name}: off after {off_us:.2} µs");
         assert!(off_us < 0.01, "{name}: {off_us}");
         assert_eq!(connect(&bench).status().unwrap().fault, fault, "{name}");
     }
+}
+
+/// RM0440, 27.3.22: an output that is enabled while a fault is active enters FAULT state; clearing the flag changes nothing.
+#[test]
+fn a_supply_that_stays_low_keeps_the_bridge_open_across_restarts() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.2);
+    let before = client.status().unwrap();
+    assert_eq!(before.state, State::Heating);
+    bench.with(|machine| {
+        machine.chip().set_supply_low(true);
+        machine.chip().hrtim.off_at = None;
+    });
+    for _ in 0..200 {
+        bench.run_s(0.01);
+        let bridge = bench.with(|machine| machine.chip().pins.bridge());
+        assert_eq!(bridge, Bridge::Open);
+    }
+    let off_at = bench.with(|machine| machine.chip().hrtim.off_at);
+    assert_eq!(off_at, None, "a switch closed in between");
+    let status = client.status().unwrap();
+    assert_eq!(status.fault, Fault::SUPPLY_LOW);
+    assert!(before.tries_left - status.tries_left >= 2, "{status:?}");
+    bench.with(|machine| machine.chip().set_supply_low(false));
+    bench.run_s(5.0);
+    assert_eq!(client.status().unwrap().state, State::Heating);
+    assert_no_violations(&bench);
 }
 
 #[test]

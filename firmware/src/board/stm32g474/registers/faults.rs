@@ -118,7 +118,8 @@ pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault
         return had_tripped.then_some(Fault::HARDWARE_OVER_CURRENT);
     }
     let isr = pac::HRTIM1.isr().read();
-    if isr.sysflt() {
+    // A supply that is still low holds the outputs in FAULT state after its flag was cleared.
+    if isr.sysflt() || is_supply_low() {
         // Of the four causes only lock-up leaves no flag.
         Some(system_fault().unwrap_or(Fault::CORE_LOCKUP))
     } else if COMPARATORS.iter().any(|&input| isr.flt(input)) {
@@ -162,9 +163,14 @@ pub fn system_fault() -> Option<Fault> {
         Some(Fault::FLASH_ECC)
     } else if pac::SYSCFG.cfgr2().read().spf() {
         Some(Fault::RAM_PARITY)
-    } else if pac::PWR.sr2().read().pvdo() || pac::EXTI.pr(0).read().line(PVD_LINE) {
+    } else if is_supply_low() || pac::EXTI.pr(0).read().line(PVD_LINE) {
         Some(Fault::SUPPLY_LOW)
     } else {
         None
     }
+}
+
+/// PWR, PWR_SR2: the supply is below [`PVD_LEVEL`].
+fn is_supply_low() -> bool {
+    pac::PWR.sr2().read().pvdo()
 }

@@ -28,6 +28,15 @@ pub(super) fn sources_written(before: u32, value: u32, file: &RegisterFile, log:
     value
 }
 
+/// Faults whose cause is there, independent of their flags.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ActiveFaults {
+    /// Bit of each fault input, as in HRTIM_FLTAR.
+    pub inputs: u32,
+    /// System fault.
+    pub system: bool,
+}
+
 impl Hrtim {
     /// Returns `true` if external event 2 has no effect: fault input 2 does not use it, or has tripped already.
     pub fn is_event_2_taken(&self, file: &RegisterFile) -> bool {
