@@ -155,7 +155,7 @@ impl Adc {
         }
         if drive.bridge == Bridge::Open {
             if self.drive.bridge != Bridge::Open {
-                faults::keep_trip();
+                faults::keep_flags();
             }
             bridge::open();
         }

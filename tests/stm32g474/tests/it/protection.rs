@@ -138,6 +138,35 @@ fn a_supply_that_stays_low_keeps_the_bridge_open_across_restarts() {
     assert_no_violations(&bench);
 }
 
+/// The flags of a fault outlast the burst in whose last block it came: the supply is low for 5 µs, while that block is processed.
+#[test]
+fn a_dip_at_the_end_of_a_pot_probe_is_reported() {
+    let asked = || {
+        let bench = with_pot(PotKind::None);
+        connect(&bench).set_power(1_200).unwrap();
+        bench
+    };
+    let first_end = asked().with(|machine| {
+        machine.chip().hrtim.off_at = None;
+        while machine.chip().hrtim.off_at.is_none() {
+            machine.run_for(us(100)).unwrap();
+        }
+        machine.chip().hrtim.off_at.expect("a probe ended")
+    });
+    let bench = asked();
+    let off_at = bench.with(move |machine| {
+        machine.run_until(first_end - us(10)).unwrap();
+        machine.chip().set_supply_low(true);
+        machine.run_for(us(5)).unwrap();
+        machine.chip().set_supply_low(false);
+        machine.run_for(us(1_000)).unwrap();
+        machine.chip().hrtim.off_at.expect("the outputs went off")
+    });
+    assert!((first_end - us(11)..first_end).contains(&off_at));
+    let status = connect(&bench).status().unwrap();
+    assert_eq!(status.fault, Fault::SUPPLY_LOW);
+}
+
 #[test]
 fn errors_of_the_memories_open_the_bridge_and_are_reported_after_the_reset() {
     type Cause = fn(&mut Machine);

@@ -1,8 +1,9 @@
 //! Faults that open the bridge without software, and the flags that they leave.
 
-use core::sync::atomic::{AtomicBool, Ordering};
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_stm32::pac;
+use embassy_stm32::pac::hrtim::regs::HrtimIsr;
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::sampling::path::SamplingPath;
 use ihd_firmware::sense::product_sums::PairArithmetic;
@@ -109,17 +110,17 @@ pub fn clear() {
 }
 
 /// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT). The first
-/// switch that closes clears the flags of an earlier fault. A trip counts, once, even if the path has opened the bridge since, as at
+/// switch that closes clears the flags of an earlier fault. A fault counts, once, even if the path has opened the bridge since, as at
 /// the end of a pot probe; what trips with both switches open does not. The thread has the path only with interrupts masked, so no block
 /// closes a switch between the readings of drive and flags.
 pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault> {
-    let had_tripped = HAD_TRIPPED.swap(false, Ordering::Relaxed);
-    if path.drive().bridge == Bridge::Open {
-        return had_tripped.then_some(Fault::HARDWARE_OVER_CURRENT);
+    let mut isr = HrtimIsr(KEPT_FLAGS.swap(0, Ordering::Relaxed));
+    let is_driven = path.drive().bridge != Bridge::Open;
+    if is_driven {
+        isr.0 |= pac::HRTIM1.isr().read().0;
     }
-    let isr = pac::HRTIM1.isr().read();
     // A supply that is still low holds the outputs in FAULT state after its flag was cleared.
-    if isr.sysflt() || is_supply_low() {
+    if isr.sysflt() || is_driven && is_supply_low() {
         // Of the four causes only lock-up leaves no flag.
         Some(system_fault().unwrap_or(Fault::CORE_LOCKUP))
     } else if COMPARATORS.iter().any(|&input| isr.flt(input)) {
@@ -131,15 +132,13 @@ pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault
     }
 }
 
-/// A comparator had tripped before the path opened the bridge.
-static HAD_TRIPPED: AtomicBool = AtomicBool::new(false);
+/// HRTIM_ISR as the path last opened the bridge, until [`hardware_fault`] has read it.
+static KEPT_FLAGS: AtomicU32 = AtomicU32::new(0);
 
-/// Keeps a trip of the comparators for [`hardware_fault`]; to be called before the path opens the bridge.
+/// Keeps the flags of all faults for [`hardware_fault`]; to be called before the path opens the bridge.
 #[inline(always)]
-pub fn keep_trip() {
-    if comparators_tripped().contains(&true) {
-        HAD_TRIPPED.store(true, Ordering::Relaxed);
-    }
+pub fn keep_flags() {
+    KEPT_FLAGS.store(pac::HRTIM1.isr().read().0, Ordering::Relaxed);
 }
 
 /// Reads the two fault inputs of [`COMPARATORS`], `true` if tripped (HRTIM, HRTIM_ISR): that of the inverted current, that of the
