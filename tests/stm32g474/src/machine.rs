@@ -12,7 +12,9 @@ use crate::chip::{Chip, Reset};
 use crate::cpu::exceptions::{self, LockUp};
 use crate::cpu::{CycleModel, State, Timing};
 use crate::image::{FLASH, Image, ImageError};
-use crate::processor::{CCM, CCM_BYTES, RAM, RAM_BYTES, move_transfers, processor, ram_bytes};
+use crate::processor::{
+    CCM, CCM_BYTES, RAM, RAM_BYTES, apply_mpu, move_transfers, processor, ram_bytes,
+};
 use crate::registers::syscfg;
 use crate::time::Ticks;
 use crate::usb::Cable;
@@ -238,13 +240,14 @@ impl Machine {
         self.execute(until)
     }
 
-    /// Processes all events that are due, and carries out the DMA's writes.
+    /// Processes all events that are due, and carries out the DMA's writes and the MPU's settings.
     fn settle(&mut self) -> Result<(), MachineError> {
         let chip = self.chip();
         if chip.log.now >= chip.next_event() {
             chip.advance();
         }
         move_transfers(&mut self.cpu)?;
+        apply_mpu(&mut self.cpu)?;
         Ok(())
     }
 

@@ -28,6 +28,10 @@ pub const BOOTLOADER: u64 = 0x1FFF_0000;
 /// Initial stack pointer of the code in place of ST's bootloader.
 pub const BOOTLOADER_STACK: u32 = 0x2000_2000;
 
+/// Addresses below the RAM, with the second bank's option bytes alone (RM0440, 2.2.2).
+pub(crate) const BELOW_RAM: u64 = 0x1FFF_8000;
+const BELOW_RAM_BYTES: u64 = RAM - BELOW_RAM;
+
 /// Code of the reference voltage at a supply of 3.0 V: 1.212 V (DS12288: 1.182 to 1.232 V).
 pub const REFERENCE_CALIBRATION: u16 = 1_655;
 
@@ -66,6 +70,7 @@ pub(crate) fn processor(
         timing: Timing::default(),
         event: false,
         sleeping: false,
+        below_ram_denied: false,
         run_until: 0,
         stopped_at: None,
         stuck: Vec::new(),
@@ -91,6 +96,7 @@ pub(crate) fn processor(
     cpu.mem_map(BOOTLOADER, 0x7000, Prot::READ | Prot::EXEC)?;
     let words = [BOOTLOADER_STACK, BOOTLOADER as u32 + 9, 0xE7FE_E7FE];
     cpu.mem_write(BOOTLOADER, &words.map(u32::to_le_bytes).concat())?;
+    map_below_ram(&mut cpu)?;
     for (base, bytes) in [
         (0x4000_0000, 0x2_8000),
         (0x4800_0000, 0x2000),
@@ -136,6 +142,29 @@ pub(crate) fn processor(
     )?;
     cpu.add_block_hook(1, 0, on_block)?;
     Ok(cpu)
+}
+
+/// Maps the addresses below the RAM as what a chip may have there at worst: reads succeed, and writes are ignored. No manual says
+/// that either raises a bus error.
+fn map_below_ram(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
+    let read = |_: &mut Unicorn<'_, State>, _: u64, _: usize| u64::MAX;
+    let ignore = |_: &mut Unicorn<'_, State>, _: u64, _: usize, _: u64| ();
+    cpu.mmio_map(BELOW_RAM, BELOW_RAM_BYTES, Some(read), Some(ignore))
+}
+
+/// Unmaps the addresses below the RAM while the MPU denies access to them, so that an access is a fault.
+pub(crate) fn apply_mpu(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {
+    let state = cpu.get_data_mut();
+    let denied = state.chip.mpu.denies(BELOW_RAM as u32);
+    if denied != state.below_ram_denied {
+        state.below_ram_denied = denied;
+        if denied {
+            cpu.mem_unmap(BELOW_RAM, BELOW_RAM_BYTES)?;
+        } else {
+            map_below_ram(cpu)?;
+        }
+    }
+    Ok(())
 }
 
 /// UC_CPU_ARM_CORTEX_M4 in Unicorn's list.

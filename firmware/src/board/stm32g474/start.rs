@@ -79,7 +79,8 @@ fn main() -> ! {
     crash::count_start(flags);
     let p = registers::clocks::start();
     registers::supply::protect_code();
-    if let Some(core) = cortex_m::Peripherals::take() {
+    if let Some(mut core) = cortex_m::Peripherals::take() {
+        registers::supply::guard_stack(&mut core.MPU);
         cycles::start(core);
     }
     defmt::info!(

@@ -235,9 +235,8 @@ impl Chip {
             0x4_2004..0x4_3000 => self.file.word(SYSTEM + offset),
             0xE000..0xF000 => {
                 let inside = offset - 0xE000;
-                self.nvic
-                    .read(inside)
-                    .unwrap_or_else(|| self.system.get(&offset).copied().unwrap_or(0))
+                let own = self.nvic.read(inside).or_else(|| self.mpu.read(inside));
+                own.unwrap_or_else(|| self.system.get(&offset).copied().unwrap_or(0))
             }
             _ => self.system.get(&offset).copied().unwrap_or(0),
         }
@@ -258,6 +257,7 @@ impl Chip {
             // VECTKEY and SYSRESETREQ.
             AIRCR if value >> 16 == 0x05FA && value & 4 != 0 => self.reset = Some(Reset::Software),
             0xE000..0xF000 if self.nvic.write(offset - 0xE000, bytes, value) => {}
+            0xE000..0xF000 if self.mpu.write(offset - 0xE000, value, &mut self.log) => {}
             _ => {
                 self.system.insert(offset, value);
             }

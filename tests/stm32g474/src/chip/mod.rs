@@ -15,6 +15,7 @@ pub mod serial;
 pub mod timer_2;
 pub mod watchdog;
 
+use crate::cpu::mpu::Mpu;
 use crate::cpu::nvic::Nvic;
 use crate::pins::{Comparator, Pins};
 use crate::registers::{self as reg, Field};
@@ -90,6 +91,8 @@ pub struct Chip {
     pub log: Log,
     /// Interrupt controller.
     pub nvic: Nvic,
+    /// Memory protection unit.
+    pub mpu: Mpu,
     /// HRTIM.
     pub hrtim: Hrtim,
     /// Serial port and its line.
@@ -143,6 +146,7 @@ impl Chip {
             file: RegisterFile::default(),
             log: Log::default(),
             nvic: Nvic::default(),
+            mpu: Mpu::default(),
             hrtim: Hrtim::default(),
             serial: Serial::default(),
             usb: Usb::new(),
@@ -227,6 +231,7 @@ impl Chip {
         (self.serial.sent, self.serial.inbound) = (line.sent, line.inbound);
         self.usb = Usb::new();
         self.nvic = Nvic::default();
+        self.mpu = Mpu::default();
         self.watchdog = self.watchdog.after_reset();
         self.random = self.random.after_reset();
         self.adcs = [0, 1, 2, ADC4].map(Converter::new);

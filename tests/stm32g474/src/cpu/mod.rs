@@ -3,6 +3,7 @@
 pub mod exceptions;
 pub mod flash_accelerator;
 pub mod instructions;
+pub mod mpu;
 pub mod nvic;
 pub mod trace;
 
@@ -170,6 +171,8 @@ pub struct State {
     pub event: bool,
     /// Set while the program waits for an event.
     pub sleeping: bool,
+    /// Set while the MPU denies access to the addresses below the RAM.
+    pub below_ram_denied: bool,
     /// Time at which the run ends.
     pub run_until: Ticks,
     /// The block before which Unicorn was stopped.

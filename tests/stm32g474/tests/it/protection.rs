@@ -12,7 +12,7 @@ use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::registers::{Field, dma1, flash, hrtim_common, syscfg};
 use ihd_stm32g474::time::{seconds, us};
 
-use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
+use crate::board::{Bench, SAMPLING, assert_no_violations, connect, resets, with_pot};
 
 /// Board that heats.
 fn heating() -> Bench {
@@ -291,6 +291,24 @@ fn a_panic_a_processor_fault_and_a_stack_overflow_end_with_the_outputs_off() {
         assert!(off_us < 84.0, "{name}: {off_us}");
         assert_eq!(after_reset(&bench).0, reason, "{name}");
     }
+}
+
+/// The MPU's fault comes as the frame is pushed. Without it that write is ignored (`map_below_ram`), and the handler runs without a stack.
+#[test]
+fn a_stack_that_overflows_ends_before_another_handler_runs() {
+    let bench = heating();
+    let handlers = bench.with(|machine| {
+        reach_thread(machine);
+        machine.set_sp(0x2000_0010);
+        machine.chip().hrtim.off_at = None;
+        let before = machine.chip().nvic.entries[SAMPLING];
+        while machine.chip().hrtim.off_at.is_none() {
+            machine.run_for(500).unwrap();
+        }
+        machine.chip().nvic.entries[SAMPLING] - before
+    });
+    assert_eq!(handlers, 0);
+    assert_eq!(after_reset(&bench).0, 6);
 }
 
 /// After five ends in a row the program stays stopped, and so does the interrupt that could close a switch.

@@ -1,5 +1,6 @@
 //! Resets, option bytes, and the memories' own guards.
 
+use cortex_m::peripheral::MPU;
 use embassy_stm32::pac;
 use ihd_firmware::retained::reset::ResetFlags;
 
@@ -60,6 +61,22 @@ pub fn take_error_in_bank_2() -> bool {
         pac::FLASH.eccr().write(|w| w.set_eccd(true));
     }
     in_bank_2
+}
+
+/// MPU (Armv7-M, B3.5): no access to the 32 KiB below the RAM, where the stack ends (memory.x). The chip has option bytes and reserved
+/// addresses there, and no manual says that writing to them is a bus error. All else stays as without MPU (PRIVDEFENA), which the
+/// handlers of hard fault and NMI do not have (HFNMIENA = 0). The unit's own fault is not enabled, so it becomes a hard fault.
+pub fn guard_stack(mpu: &mut MPU) {
+    const BELOW_RAM: u32 = 0x1FFF_8000;
+    // RBAR: VALID, region 0. RASR: XN, AP = 0, SIZE (2^15 bytes), ENABLE. CTRL: PRIVDEFENA, ENABLE.
+    // SAFETY: no code and no variable lies in the region, so no access that Rust knows of is forbidden.
+    unsafe {
+        mpu.rbar.write(BELOW_RAM | 1 << 4);
+        mpu.rasr.write(1 << 28 | 14 << 1 | 1);
+        mpu.ctrl.write(1 << 2 | 1);
+    }
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
 }
 
 /// SYSCFG, SYSCFG_SWPR: the CCM SRAM, all of whose 32 pages hold code or constants by now, is written no
