@@ -320,9 +320,13 @@ async fn link_task(
 impl Board {
     /// Exchanges faults, temperatures and the fan with the hardware after each block.
     fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
+        let is_slow_stopped = registers::adc::is_slow_stopped();
         let blocks = path.with(|path| {
             if let Some(fault) = registers::faults::hardware_fault(path) {
                 path.raise(fault);
+            }
+            if is_slow_stopped {
+                path.raise(Fault::SAMPLES_LOST);
             }
             path.blocks()
         });
@@ -350,7 +354,8 @@ impl Board {
         };
         housekeeping.serve(path, &mut services);
         let is_open = path.with(|path| path.drive().bridge == Bridge::Open);
-        if self.heartbeat.beat(blocks) && (self.self_test.is_flow_right() || is_open) {
+        let is_right = self.self_test.is_flow_right() || is_open;
+        if self.heartbeat.beat(blocks) && is_right && !is_slow_stopped {
             self.watchdog.pet();
         }
         // Where a turn takes longer than a block, not every count is seen here.

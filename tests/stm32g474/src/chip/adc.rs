@@ -229,6 +229,23 @@ impl Converter {
         file.set(self.field(adc1::cr::ADSTART), 0);
     }
 
+    /// Ends a conversion that a trigger started, with OVRMOD = 1; returns `true` if the DMA is asked to move the result. A result that
+    /// was not read by then is lost, and the DMA is asked no more until software clears OVR (RM0440, "ADC overrun", "Managing conversions
+    /// using the DMA").
+    pub fn requests_transfer(&self, value: u32, file: &mut RegisterFile) -> bool {
+        if self.get(adc1::isr::EOC, file) == 1 {
+            file.set(self.field(adc1::isr::OVR), 1);
+        }
+        file.set_word(self.base + 0x40, value & 0xFFFF);
+        file.set(self.field(adc1::isr::EOC), 1);
+        self.get(adc1::isr::OVR, file) == 0
+    }
+
+    /// Notes that the DMA has read the result, which clears EOC.
+    pub fn was_read(&self, file: &mut RegisterFile) {
+        file.set(self.field(adc1::isr::EOC), 0);
+    }
+
     /// Returns `true` if HRTIM's first trigger starts a conversion now.
     pub fn takes_trigger(&self, file: &RegisterFile) -> bool {
         self.get(adc1::cr::ADSTART, file) == 1

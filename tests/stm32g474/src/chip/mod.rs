@@ -111,6 +111,8 @@ pub struct Chip {
     pub lsi: Lsi,
     /// Supply below the detector's level.
     supply_is_low: bool,
+    /// Fault injection: conversions of ADC3 whose DMA request is not served in time.
+    pub late_transfers: u32,
     /// Fault injection: every second trigger of the ADCs is lost.
     pub loses_triggers: bool,
     trigger_is_lost: bool,
@@ -156,6 +158,7 @@ impl Chip {
             pins,
             lsi: Lsi::default(),
             supply_is_low: false,
+            late_transfers: 0,
             loses_triggers: false,
             trigger_is_lost: false,
             adcs: [0, 1, 2, ADC4].map(Converter::new),
@@ -304,11 +307,7 @@ impl Chip {
         {
             let done = self.conversions.swap_remove(k);
             match done.request {
-                Some(request) => {
-                    let (file, log) = (&mut self.file, &mut self.log);
-                    let moved = self.dma.request(request, done.value, file, log);
-                    self.transfers.extend(moved);
-                }
+                Some(request) => self.move_result(request, done.value),
                 None => self.adcs[ADC4].finish(done.value, &mut self.file),
             }
         }
@@ -332,6 +331,23 @@ impl Chip {
             self.usb.set_time(now_us);
             self.pins.usb.poll(&mut self.usb, now_us);
             self.next_usb_poll = now + USB_POLL;
+        }
+    }
+
+    /// Ends a conversion of ADC1 or ADC3 whose result the DMA moves.
+    fn move_result(&mut self, request: u32, value: u32) {
+        let adc = &self.adcs[if request == REQUEST_ADC1 { 0 } else { 2 }];
+        if !adc.requests_transfer(value, &mut self.file) {
+            return;
+        }
+        if request == REQUEST_ADC3 && self.late_transfers > 0 {
+            self.late_transfers -= 1;
+            return;
+        }
+        let (file, log) = (&mut self.file, &mut self.log);
+        if let Some(moved) = self.dma.request(request, value, file, log) {
+            adc.was_read(file);
+            self.transfers.push(moved);
         }
     }
 

@@ -235,6 +235,29 @@ fn sampling_that_stops_opens_the_bridge_in_hardware() {
     }
 }
 
+/// RM0440, "Managing conversions using the DMA": after an overrun the DMA gets nothing more from that ADC. Pairs and blocks go on.
+#[test]
+fn a_bus_and_mains_reading_that_stops_opens_the_bridge_and_restarts() {
+    type Cause = fn(&mut Machine);
+    let causes: [(&str, Cause); 2] = [
+        ("overrun", |machine| machine.chip().late_transfers = 1),
+        // The hardware clears EN (RM0440, "DMA error management").
+        ("transfer error", |machine| clear(machine, dma1::ccr2::EN)),
+    ];
+    for (name, cause) in causes {
+        let bench = heating();
+        let off_us = time_to_off(&bench, 100, cause);
+        println!("{name} of bus and mains: off after {off_us:.0} µs");
+        assert!(off_us < 600.0, "{name}: {off_us}");
+        assert_eq!(resets(&bench), [Reset::Watchdog], "{name}");
+        assert_eq!(after_reset(&bench), (1, Fault::SAMPLES_LOST.number()));
+        let mut client = connect(&bench);
+        client.set_power(1_200).unwrap();
+        bench.run_s(0.5);
+        assert_eq!(client.status().unwrap().state, State::Heating, "{name}");
+    }
+}
+
 #[test]
 fn sampling_that_stops_for_a_while_is_a_fault_with_its_number() {
     let bench = heating();

@@ -148,6 +148,12 @@ pub unsafe fn start_slow(bus: u8, mains: u8, codes: *mut i16, length: u16) {
     start(pac::ADC3);
 }
 
+/// Returns `true` if ADC3's overrun (ADC, ADC_ISR: OVR) keeps bus and mains from the DMA, as any end of its channel does two
+/// conversions later. After one the codes' places are no longer known, so only a reset mends it.
+pub fn is_slow_stopped() -> bool {
+    pac::ADC3.isr().read().ovr()
+}
+
 /// ADC4, one channel at a time, each sampled for 247.5 cycles, 5.8 µs: the source is 5 kΩ behind 100 nF. Its clock is that of
 /// [`start_slow`], which must come before.
 pub fn start_single(channels: &[u8]) {
