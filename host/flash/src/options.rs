@@ -14,6 +14,8 @@ const DBANK: u32 = 1 << 22;
 const SRAM_PE: u32 = 1 << 24;
 const N_SWBOOT0: u32 = 1 << 26;
 const N_BOOT0: u32 = 1 << 27;
+/// Bit 0 of NRST_MODE: 1 is a reset input, 3 an output as well, 2 a GPIO.
+const NRST_INPUT: u32 = 1 << 28;
 
 /// Read protection of a chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -84,6 +86,11 @@ impl OptionBytes {
         (self.optr & BOR_LEV) >> 8
     }
 
+    /// Use of the reset pin, NRST_MODE.
+    pub fn reset_pin(&self) -> u32 {
+        self.optr >> 28 & 0b11
+    }
+
     /// Read protection.
     pub fn read_protection(&self) -> ReadProtection {
         match self.optr & 0xFF {
@@ -148,6 +155,17 @@ impl OptionBytes {
                 needed: false,
                 why: "below 2.8 V the chip stays in reset, its outputs open",
             },
+            OptionDeviation {
+                name: "NRST_MODE",
+                is: self.reset_pin(),
+                required: if self.optr & NRST_INPUT != 0 {
+                    self.reset_pin()
+                } else {
+                    3
+                },
+                needed: false,
+                why: "the reset pin is a GPIO, and the reset button does nothing",
+            },
         ];
         all.into_iter()
             .filter(|one| one.is != one.required)
@@ -156,7 +174,7 @@ impl OptionBytes {
 
     /// Returns these values with all requirements met; protections stay.
     pub fn with_requirements(&self) -> Self {
-        let set = DBANK | N_BOOT0 | N_SWBOOT0 | 4 << 8;
+        let set = DBANK | N_BOOT0 | N_SWBOOT0 | NRST_INPUT | 4 << 8;
         let clear = SRAM_PE | BFB2 | BOR_LEV;
         Self {
             optr: self.optr & !clear | set,
@@ -200,6 +218,22 @@ mod tests {
             .map(|one| (one.name, one.needed))
             .collect();
         assert_eq!(names, [("nBOOT0", true), ("nSWBOOT0", false)]);
+    }
+
+    /// RM0440, 3.7.8, NRST_MODE: 1 reset input, 2 GPIO, 3 input and output.
+    #[test]
+    fn a_reset_pin_that_is_a_gpio_is_told_and_set_right() {
+        let with = |mode: u32| OptionBytes {
+            optr: 0xCEEF_FCAA | mode << 28,
+            ..Default::default()
+        };
+        assert_eq!(
+            (with(1).deviations(), with(3).deviations()),
+            (vec![], vec![])
+        );
+        let told = with(2).deviations();
+        assert_eq!((told[0].name, told[0].is, told.len()), ("NRST_MODE", 2, 1));
+        assert_eq!(with(2).with_requirements(), with(3));
     }
 
     #[test]

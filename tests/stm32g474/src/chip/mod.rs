@@ -202,10 +202,10 @@ impl Chip {
         let (cause, options) = match why {
             Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
             Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
-            // The two boards as delivered, with RAM parity on: DBANK = 1, SRAM_PE = 0 (RM0440, 3.4.1).
+            // ST's delivered value, 0xFFEF_F8AA, with RAM parity on: SRAM_PE = 0 (RM0440, 3.4.1).
             Reset::Power => (
                 reg::rcc::rcc_csr::BORRSTF,
-                if options == 0 { 0xEEEF_F8AA } else { options },
+                if options == 0 { 0xFEEF_F8AA } else { options },
             ),
         };
         let kept = if why == Reset::Power { 0 } else { flags };
