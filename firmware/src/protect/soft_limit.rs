@@ -12,9 +12,10 @@
 //! nothing after many, and noise about a sound current adds up to nothing.
 //!
 //! The samples are locked to the carrier, so the one after each turn-off is known: of 61 over three
-//! periods, the 51st lies 1/122 of a period after the upper switch's and the 41st 1/61 after the lower
-//! one's. The anti-alias filter's 0.3 µs put what they show before the turn-off, where the current is a
-//! little larger; [`SOFT_TURN_OFF_PERCENT`] has room for it.
+//! periods, the 51st begins 1/122 of a period after the upper switch's and the 41st 1/61 after the lower
+//! one's, and is held 0.18 µs later (trigger, latency, sampling time). Less the anti-alias filter's 0.3 µs they
+//! show the current from 0.04 µs before the turn-off, where it is larger and [`SOFT_TURN_OFF_PERCENT`] has room
+//! for it, to 0.34 µs after it, where it is smaller and the limit acts early.
 
 use ihd_shared::hob::NODE_CAPACITANCE_NF;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, I_FULL_SCALE_A, Pair, V_FULL_SCALE_V};

@@ -68,14 +68,14 @@ impl SimulatedAdc {
         self.filters[1].advance(now.i_a, dt_s);
     }
 
-    /// Converts the present outputs of the filters.
-    pub fn sample(&mut self) -> Pair {
+    /// Present outputs of the filters: voltage in volt, current in ampere.
+    pub fn outputs(&mut self) -> [f64; 2] {
         self.filters.iter_mut().for_each(LowPass::end_decay);
-        self.convert(self.filters[0].output(), self.filters[1].output())
+        self.filters.map(|filter| filter.output())
     }
 
     /// Converts one pair of voltage in volt and current in ampere.
-    fn convert(&mut self, v_v: f64, i_a: f64) -> Pair {
+    pub fn convert(&mut self, v_v: f64, i_a: f64) -> Pair {
         let mut noisy = |value: f64, sigma: f64| {
             if sigma > 0.0 {
                 let normal: f64 = StandardNormal.sample(&mut self.rng);

@@ -43,6 +43,8 @@ pub struct Plant {
     /// Half of the double buffer that the next block fills, 0 or 1.
     half: usize,
     coil: PotOnCoil,
+    /// Time from the beginning of a sampling period to the hold of both channels, in seconds.
+    hold_delay_s: f64,
     drive: Drive,
     inverter: Inverter,
     /// Coil current in ampere at which the comparator opens both switches; infinite without one.
@@ -111,6 +113,7 @@ impl Plant {
             divided: DividedVoltages::default(),
             half: 0,
             coil,
+            hold_delay_s: 0.0,
             drive,
             inverter,
             comparator_a: f64::INFINITY,
@@ -127,6 +130,11 @@ impl Plant {
     /// They stay open until the drive has requested that too.
     pub fn set_comparator(&mut self, trip_a: f64, delay_s: f64) {
         (self.comparator_a, self.comparator_delay_s) = (trip_a, delay_s);
+    }
+
+    /// Sets the time from the beginning of a sampling period to the hold of both channels, in seconds; less than the period.
+    pub fn set_hold_delay(&mut self, delay_s: f64) {
+        self.hold_delay_s = delay_s;
     }
 
     /// Returns `true` while the comparator holds open what the drive closes, and once if it had tripped before the drive opened.
@@ -313,7 +321,7 @@ impl Plant {
     /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere after every integration
     /// step, as seen by a comparator. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
-        let pair = self.adc.sample();
+        let start = self.adc.outputs();
         self.inverter.bus.end_decay();
         let sample_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
         let bridge = match self.is_tripped() {
@@ -329,15 +337,25 @@ impl Plant {
             self.adc.advance(&now, sample_s);
             current(now.i_a);
             self.end_sample(crest, sample_s);
-            return pair;
+            return self.adc.convert(start[0], start[1]);
         }
-        let mut left = STEPS_PER_SAMPLE;
-        while left > 0 {
+        // Whole steps before the hold, and the share of the step in which it comes.
+        let hold = self.hold_delay_s / self.inverter.dt_s();
+        let whole = (hold as usize).min(STEPS_PER_SAMPLE - 1);
+        let share = hold - whole as f64;
+        let mut around = [start; 2];
+        let mut done = 0;
+        while done < STEPS_PER_SAMPLE {
+            let until = match share > 0.0 && done == whole {
+                true => whole + 1,
+                false if done < whole => whole,
+                false => STEPS_PER_SAMPLE,
+            };
             let bridge = match self.is_tripped() {
                 false => bridge,
                 true => Bridge::Open,
             };
-            left -= self.advance(bridge, left, &mut |now| {
+            done += self.advance(bridge, until - done, &mut |now| {
                 let (i_a, coil_v) = (now.i_a.abs(), now.coil_v.abs());
                 // `f64::max` minds NaN, at every step.
                 if i_a > crest.0 {
@@ -348,9 +366,15 @@ impl Plant {
                 }
                 current(now.i_a);
             });
+            if done == whole {
+                around = [self.adc.outputs(); 2];
+            } else if done == whole + 1 {
+                around[1] = self.adc.outputs();
+            }
         }
         self.end_sample(crest, sample_s);
-        pair
+        let [v_v, i_a] = [0, 1].map(|k| around[0][k] + share * (around[1][k] - around[0][k]));
+        self.adc.convert(v_v, i_a)
     }
 
     /// Meters the sample, and brings the dividers to its end, where the next pair is taken.

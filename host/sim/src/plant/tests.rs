@@ -1,5 +1,7 @@
 //! Plant against its laws, its instruments and its comparator.
 
+use ihd_shared::sampling::AMPERE_PER_CODE;
+
 use super::*;
 use crate::adc::ConverterNoise;
 use crate::behavioural::{BehaviouralLoad, PotKind};
@@ -12,6 +14,21 @@ fn at_full_power(load: LoadKind) -> Plant {
         plant.block(|_| ());
     }
     plant
+}
+
+#[test]
+fn a_pair_shows_the_current_at_its_hold() {
+    let mut plant = at_full_power(LoadKind::Behavioural);
+    for steps in [0.0, 1.0, 5.0, 7.5] {
+        plant.set_hold_delay(steps * plant.dt_s());
+        let before_a = plant.inverter.instant().i_a;
+        let mut seen_a = vec![before_a];
+        let pair = plant.sample(|i_a| seen_a.push(i_a));
+        let (whole, share) = (steps as usize, steps % 1.0);
+        let held_a = seen_a[whole] + share * (seen_a[whole + 1] - seen_a[whole]);
+        let error = f64::from(pair.i) * AMPERE_PER_CODE - held_a;
+        assert!(error.abs() <= 0.51 * AMPERE_PER_CODE, "{steps}: {error} A");
+    }
 }
 
 #[test]

@@ -290,6 +290,13 @@ impl Converter {
         Some((channel, self.busy_until))
     }
 
+    /// Time from a trigger to the end of sampling, when the input is held.
+    pub fn hold_delay(&self, hclk_hz: u64, file: &RegisterFile) -> Ticks {
+        let channel = self.get(adc1::sqr1::SQ1, file);
+        let cycles = TRIGGER_LATENCY_CYCLES + self.sampling_cycles(channel, file);
+        self.ticks(cycles, hclk_hz, file)
+    }
+
     fn sampling_cycles(&self, channel: u32, file: &RegisterFile) -> f64 {
         let (register, place) = if channel < 10 {
             (0x14, channel)

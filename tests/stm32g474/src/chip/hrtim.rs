@@ -100,6 +100,11 @@ impl Hrtim {
         })
     }
 
+    /// Time from the begin of timer B's period to its trigger of the ADCs.
+    pub fn trigger_delay(&self) -> Ticks {
+        Ticks::from(self.in_force(1, hrtim_timb::cmp3br::ADDRESS))
+    }
+
     /// Time of the next repetition event that updates a timer (RM0440, 27.3.4, "Repetition counter").
     pub fn next_repetition(&self, file: &RegisterFile) -> Option<Ticks> {
         (0..2)

@@ -368,6 +368,8 @@ impl Chip {
         let hclk_hz = clocks::hclk_hz(&self.file);
         self.drive_pins();
         self.set_comparators();
+        let hold_delay_s = self.hold_delay_s();
+        self.pins.plant.set_hold_delay(hold_delay_s);
         let (sample, tripped) = self.pins.sample();
         self.trip(tripped);
         if self.loses_triggers {
@@ -407,6 +409,14 @@ impl Chip {
             }
         }
         self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
+    }
+
+    /// Time from the begin of a sampling period, which the bridge's is locked to, to the hold of both channels, in seconds. The
+    /// trigger waits for an edge of the ADCs' clock besides, up to 24 ns, which is not modelled.
+    pub fn hold_delay_s(&self) -> f64 {
+        let hclk_hz = clocks::hclk_hz(&self.file);
+        let in_adc = self.adcs[0].hold_delay(hclk_hz, &self.file);
+        crate::time::seconds(self.hrtim.trigger_delay() + in_adc)
     }
 
     /// Number of conversions of each channel of an ADC since the last reset; ADCs are numbered from 0.

@@ -203,6 +203,16 @@ fn the_thread_holds_no_block_up_for_long() {
     assert!(most <= 1_000.0, "{most:.0} cycles, with what is at {at:#x}");
 }
 
+/// Compare 3 of 0x60 ticks of 735 ps; at 42.5 MHz a latency of 2.125 and a sampling time of 2.5 cycles (DS12288, t_LATR; RM0440,
+/// 21.7.6).
+#[test]
+fn a_pair_is_held_after_trigger_latency_and_sampling_time() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    drop(connect(&bench));
+    let held_ns = bench.with(|machine| machine.chip().hold_delay_s()) * 1e9;
+    assert!((held_ns - (70.6 + 108.8)).abs() < 1.0, "{held_ns}");
+}
+
 /// Another frequency at every second half-cycle, and windows that end and begin at the same time.
 #[test]
 fn a_zero_crossing_with_another_frequency_is_done_within_its_block() {
