@@ -161,7 +161,7 @@ const CAPTURE: &[Code] = &[
         "info, warning, error",
         "harmonics of the edges fall on the fundamental",
         "1 % of R for a warning, 3 % for an error",
-        "shift the sampling rate by some percent",
+        "shift the sampling rate, or f_sw, by some percent",
     ),
     code(
         "swapped",

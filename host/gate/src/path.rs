@@ -130,7 +130,9 @@ fn examine_samples(
         let known = prepared.take_interference(index);
         let preprocessing = Preprocessing::new(segment);
         let reference = ReferenceResults::compute(segment, &preprocessing, known);
-        let of_segment = is_law(&reference).then(|| PoolPhasors::demodulate(segment));
+        let shared = prepared.shared_sigma(segment.f_sw_hz);
+        let of_segment =
+            is_law(&reference).then(|| PoolPhasors::demodulate(segment).with_shared(shared));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
         for &method in request.methods {
@@ -148,7 +150,7 @@ fn examine_samples(
                     (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
                 }
                 // Only after the judgement: a deviation that all methods share explains no difference between them.
-                prepared.widen(estimate);
+                shared.widen(estimate);
             }
             outcomes.push(MethodResult {
                 method,

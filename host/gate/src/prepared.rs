@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use ihd_identify::Estimate;
+use ihd_identify::pooled::SharedSigma;
 use ihd_signal::{Capture, Remark, Segment};
 use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
 use ihd_survey::{Hints, Survey, SurveyError};
@@ -116,26 +116,17 @@ impl<'a> PreparedCapture<'a> {
         self.interference.get_mut(index).map(std::mem::take)
     }
 
-    /// Adds the deviations that preparation and sampling leave to those of an estimate.
-    pub fn widen(&self, estimate: &mut Estimate) {
-        if let Some(uncertainty) = self.uncertainty {
-            uncertainty.widen(estimate);
-        }
-        let [r, l] = self.restored.map(|share| RESOLUTION.hypot(share));
-        widen(estimate, r, l);
-        if let Some(aliasing) = &self.survey.aliasing {
-            widen(estimate, 0.01 * aliasing.r_pct, 0.01 * aliasing.l_pct);
-        }
+    /// Deviations that preparation and sampling leave to all phasors alike, at a switching frequency in hertz.
+    pub fn shared_sigma(&self, f_sw_hz: f64) -> SharedSigma {
+        let of = |shares: [f64; 2]| SharedSigma {
+            shares,
+            delay_s: 0.0,
+        };
+        let sensors = self.uncertainty.map(|u| u.shared_sigma(f_sw_hz));
+        let aliasing = self.survey.aliasing.as_ref();
+        let aliasing = aliasing.map(|a| of([0.01 * a.r_pct, 0.01 * a.l_pct]));
+        of(self.restored.map(|share| RESOLUTION.hypot(share)))
+            .hypot(sensors.unwrap_or_default())
+            .hypot(aliasing.unwrap_or_default())
     }
-}
-
-/// Adds shares of R and of L to the standard deviations.
-fn widen(estimate: &mut Estimate, r_share: f64, l_share: f64) {
-    let add = |sigma: &mut [f64], values: &[f64], share: f64| {
-        for (sigma, value) in sigma.iter_mut().zip(values) {
-            *sigma = sigma.hypot(share * value);
-        }
-    };
-    add(&mut estimate.r_sigma_ohm, &estimate.r_ohm, r_share);
-    add(&mut estimate.l_sigma_h, &estimate.l_h, l_share);
 }

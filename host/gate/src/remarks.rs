@@ -2,6 +2,7 @@
 
 use ihd_identify::Method;
 use ihd_signal::{Remark, Segment, Severity};
+use ihd_survey::aliasing::SEEN_AS_TONE_HZ;
 use ihd_survey::{Channel, Finding, Survey};
 
 /// Codes that matter only to methods that work sample by sample: phasors contain neither a mean nor signals between the
@@ -53,9 +54,6 @@ pub fn from_survey(survey: &Survey, segment: &Segment) -> Vec<Remark> {
         })
         .collect()
 }
-
-/// Offset in hertz above which an alias beside the carrier is treated as a tone, whose cost is measured.
-const SEEN_AS_TONE_HZ: f64 = 300.0;
 
 /// Returns `true` if the finding is a prediction of something that [`crate::interference`] measures.
 fn is_measured(finding: &Finding, segment: &Segment) -> bool {

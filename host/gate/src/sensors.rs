@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::f64::consts::TAU;
 
-use ihd_identify::Estimate;
+use ihd_identify::pooled::SharedSigma;
 use ihd_signal::{Capture, Load, Remark, Segment, Severity};
 use ihd_survey::calibration::blind::{self, BlindOptions, CalibratedCapture, SelfCalibration};
 use ihd_survey::{Hints, Survey, SurveyError};
@@ -145,31 +145,27 @@ impl CorrectionUncertainty {
         }
     }
 
-    /// Standard deviations of R in ohm and L in henry that a lag of `sigma_s` seconds adds at a load and a frequency.
-    fn sigmas(&self, sigma_s: f64, load: Load, f_sw_hz: f64) -> (f64, f64) {
+    /// Deviations of R and L by a lag that is wrong by `delay_s` seconds, at a frequency in hertz.
+    fn by_lag(&self, delay_s: f64, f_sw_hz: f64) -> SharedSigma {
         let omega = TAU * f_sw_hz;
         let gain = self
             .gain_share
             .hypot(0.5 * omega * omega * self.ambiguous_lag_s2);
-        let r = (omega * omega * load.l_h * sigma_s).hypot(gain * load.r_ohm);
-        let l = (load.r_ohm * sigma_s).hypot(gain * load.l_h);
-        (r, l)
+        SharedSigma {
+            shares: [gain; 2],
+            delay_s,
+        }
     }
 
-    /// Adds the correction's uncertainty, including the bridge's resistance, to an estimate's deviations if it states any.
-    pub fn widen(&self, estimate: &mut Estimate) {
-        let f_sw_hz = estimate.f_sw_hz;
-        let sigma_s = self.lag_sigma_s.hypot(self.bridge_s);
-        let loads = estimate.r_ohm.iter().zip(&estimate.l_h);
-        let added: Vec<_> = loads
-            .map(|(&r_ohm, &l_h)| self.sigmas(sigma_s, Load { r_ohm, l_h }, f_sw_hz))
-            .collect();
-        for (sigma, (r, _)) in estimate.r_sigma_ohm.iter_mut().zip(&added) {
-            *sigma = sigma.hypot(*r);
-        }
-        for (sigma, (_, l)) in estimate.l_sigma_h.iter_mut().zip(&added) {
-            *sigma = sigma.hypot(*l);
-        }
+    /// Deviations of R and L, those by the bridge's resistance among them.
+    pub fn shared_sigma(&self, f_sw_hz: f64) -> SharedSigma {
+        self.by_lag(self.lag_sigma_s.hypot(self.bridge_s), f_sw_hz)
+    }
+
+    /// Deviation of R in percent by a lag that is wrong by `delay_s` seconds.
+    fn r_pct(&self, delay_s: f64, load: Load, f_sw_hz: f64) -> f64 {
+        let [r, _] = (self.by_lag(delay_s, f_sw_hz)).of([load.r_ohm, load.l_h], TAU * f_sw_hz);
+        100.0 * (r / load.r_ohm).abs()
     }
 
     /// Warning on a correction that is uncertain, else `None`.
@@ -185,8 +181,7 @@ impl CorrectionUncertainty {
             return Some(remark.with(rate_hz, Some(MIN_RATE_HZ)));
         }
         let load = load?;
-        let (r, _) = self.sigmas(self.lag_sigma_s, load, segment.f_sw_hz);
-        let pct = 100.0 * (r / load.r_ohm).abs();
+        let pct = self.r_pct(self.lag_sigma_s, load, segment.f_sw_hz);
         if pct > DOUBTFUL_PCT {
             let text = format!(
                 "the correction of the sensors leaves R uncertain by {pct:.1} %: compare with --self-calibrate off, or calibrate \
@@ -195,8 +190,7 @@ impl CorrectionUncertainty {
             let remark = Remark::new("correction_doubtful", Severity::Warning, text);
             return Some(remark.with(pct, Some(DOUBTFUL_PCT)));
         }
-        let (r, _) = self.sigmas(self.lag_sigma_s.hypot(self.bridge_s), load, segment.f_sw_hz);
-        let pct = 100.0 * (r / load.r_ohm).abs();
+        let pct = self.r_pct(self.lag_sigma_s.hypot(self.bridge_s), load, segment.f_sw_hz);
         (TOLERABLE_SIGMAS * pct > TOLERABLE_PCT[0]).then(|| {
             let text = format!(
                 "the sensors were corrected for a delay, of which the bridge's resistance may be a part: R is uncertain by \
@@ -210,7 +204,7 @@ impl CorrectionUncertainty {
 
 #[cfg(test)]
 mod tests {
-    use ihd_identify::Method;
+    use ihd_identify::{Estimate, Method};
 
     use super::*;
 
@@ -227,7 +221,7 @@ mod tests {
         estimate.l_h = vec![18e-6];
         estimate.r_sigma_ohm = vec![0.0];
         estimate.l_sigma_h = vec![1e-9];
-        uncertainty.widen(&mut estimate);
+        uncertainty.shared_sigma(45e3).widen(&mut estimate);
         let omega = TAU * 45e3;
         // Z·e^(jωδ): R falls by X·sin ωδ, X rises by R·sin ωδ.
         let turned = (omega * 5e-9).sin();

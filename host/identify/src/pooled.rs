@@ -10,6 +10,7 @@ use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
 use nalgebra::{Cholesky, Complex, DMatrix, DVector, Dyn};
 
+use crate::Estimate;
 use crate::lockin::{Boxcar, demodulate};
 
 /// Current in ampere at which u begins to grow with the logarithm.
@@ -228,10 +229,52 @@ fn posterior(equations: &Equations, r: &DMatrix<f64>, x: &DMatrix<f64>) -> Optio
     })
 }
 
+/// Standard deviations that all phasors share, so that no number of them averages them out.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SharedSigma {
+    /// Relative ones of R and of L.
+    pub shares: [f64; 2],
+    /// Delay between the channels in seconds: it turns the impedance.
+    pub delay_s: f64,
+}
+
+impl SharedSigma {
+    /// Root of the sum of squares of both.
+    pub fn hypot(self, other: Self) -> Self {
+        let [r, l] = self.shares;
+        Self {
+            shares: [r.hypot(other.shares[0]), l.hypot(other.shares[1])],
+            delay_s: self.delay_s.hypot(other.delay_s),
+        }
+    }
+
+    /// Adds these to the standard deviations of an estimate, if it states any.
+    pub fn widen(&self, estimate: &mut Estimate) {
+        let omega = TAU * estimate.f_sw_hz;
+        let loads = estimate.r_ohm.iter().zip(&estimate.l_h);
+        let added: Vec<_> = loads.map(|(r, l)| self.of([*r, *l], omega)).collect();
+        for (sigma, [r, _]) in estimate.r_sigma_ohm.iter_mut().zip(&added) {
+            *sigma = sigma.hypot(*r);
+        }
+        for (sigma, [_, l]) in estimate.l_sigma_h.iter_mut().zip(&added) {
+            *sigma = sigma.hypot(*l);
+        }
+    }
+
+    /// Deviations of R in ohm and of L in henry, of a load of R in ohm and L in henry at ω in radian per second.
+    pub fn of(&self, [r_ohm, l_h]: [f64; 2], omega: f64) -> [f64; 2] {
+        [
+            (self.shares[0] * r_ohm).hypot(omega * omega * l_h * self.delay_s),
+            (self.shares[1] * l_h).hypot(r_ohm * self.delay_s),
+        ]
+    }
+}
+
 /// Phasors of a segment as they are pooled, 6.4 kB for each 10 ms: those of many segments can be kept.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoolPhasors {
     means: Vec<Mean>,
+    shared: SharedSigma,
     f_sw_hz: f64,
     /// Beginning and end in seconds, on the capture's clock.
     span_s: (f64, f64),
@@ -242,9 +285,15 @@ impl PoolPhasors {
     pub fn demodulate(segment: &Segment) -> Self {
         Self {
             means: means(segment),
+            shared: SharedSigma::default(),
             f_sw_hz: segment.f_sw_hz,
             span_s: (segment.t0_s, segment.t_s(segment.len())),
         }
+    }
+
+    /// Returns the same phasors with deviations that all of them share.
+    pub fn with_shared(self, shared: SharedSigma) -> Self {
+        Self { shared, ..self }
     }
 
     /// Switching frequency in hertz.
@@ -273,8 +322,15 @@ impl PoolPhasors {
             });
             each.collect::<Vec<_>>()
         };
+        let most = |of: &dyn Fn(&SharedSigma) -> f64| {
+            all.iter().map(|p| of(&p.shared)).fold(0.0, f64::max)
+        };
         Some(Self {
             means: all.iter().flat_map(of).collect(),
+            shared: SharedSigma {
+                shares: [most(&|s| s.shares[0]), most(&|s| s.shares[1])],
+                delay_s: most(&|s| s.delay_s),
+            },
             f_sw_hz,
             span_s,
         })
@@ -328,17 +384,21 @@ pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
     let widened = chi2.max(1.0).sqrt();
     let sigma = |k: usize| widened * half.column(k).norm();
     let omega = TAU * phasors.f_sw_hz;
-    let knots = 0..KNOTS;
-    Some(PooledLaw {
-        i_a: knots
-            .clone()
+    let mut law = PooledLaw {
+        i_a: (0..KNOTS)
             .map(|k| BEND_A * (from_u + k as f64 * spacing).exp_m1())
             .collect(),
-        r_ohm: knots.clone().map(|k| fitted[k]).collect(),
-        r_sigma_ohm: knots.clone().map(sigma).collect(),
-        l_h: knots.clone().map(|k| fitted[EACH + k] / omega).collect(),
-        l_sigma_h: knots.map(|k| sigma(EACH + k) / omega).collect(),
+        r_ohm: (0..KNOTS).map(|k| fitted[k]).collect(),
+        r_sigma_ohm: (0..KNOTS).map(sigma).collect(),
+        l_h: (0..KNOTS).map(|k| fitted[EACH + k] / omega).collect(),
+        l_sigma_h: (0..KNOTS).map(|k| sigma(EACH + k) / omega).collect(),
         r_drift_ohm: (2.0 * fitted[KNOTS], 2.0 * sigma(KNOTS)),
         chi2,
-    })
+    };
+    for k in 0..KNOTS {
+        let [r, l] = phasors.shared.of([law.r_ohm[k], law.l_h[k]], omega);
+        law.r_sigma_ohm[k] = law.r_sigma_ohm[k].hypot(r);
+        law.l_sigma_h[k] = law.l_sigma_h[k].hypot(l);
+    }
+    Some(law)
 }

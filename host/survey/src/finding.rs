@@ -459,7 +459,7 @@ impl fmt::Display for Finding {
                 f,
                 "{samples_per_period:.4} samples a switching period let harmonic {order} of the \
                  voltage's edges fall on the fundamental: about {r_pct:.1} % of R and {l_pct:.1} % \
-                 of L without an anti-alias filter; shift the sampling rate by some percent"
+                 of L without an anti-alias filter; shift the sampling rate, or the switching frequency, by some percent"
             ),
             Self::Swapped { by_user } => write!(
                 f,
