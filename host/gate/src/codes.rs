@@ -407,9 +407,9 @@ const GATE: &[Code] = &[
     ),
     code(
         "correction_doubtful",
-        "warning",
+        "warning, error",
         "the correction of the sensors is uncertain",
-        "6 MS/s (below, a lag under 4 % of the sampling interval is ignored); .35 % of R; half of 1 % with a bridge of 10 mΩ",
+        "6 MS/s (below, a lag under 4 % of the sampling interval is ignored); .35 % of R; half of 1 % with the bridge's resistance; 3 % for an error",
         "sample faster, --self-calibrate off, or ihd calibrate",
     ),
     code(

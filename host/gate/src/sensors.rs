@@ -8,13 +8,10 @@ use ihd_signal::{Capture, Load, Remark, Segment, Severity};
 use ihd_survey::calibration::blind::{self, BlindOptions, CalibratedCapture, SelfCalibration};
 use ihd_survey::{Hints, Survey, SurveyError};
 
-use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
+use crate::limits::{MAX_SIGMA_PCT, TOLERABLE_PCT, TOLERABLE_SIGMAS};
 
 /// Least relative error of a corrected lag, whatever the samples say: a probe is only roughly of first order.
 const MODEL: f64 = 0.02;
-
-/// Standard deviation of the bridge's resistance in ohm: switches of hobs have 10 to 20 mohm, and the capture does not show it.
-const BRIDGE_R_SIGMA_OHM: f64 = 0.01;
 
 /// Sampling rate in hertz from which the plateaus between edges have enough samples.
 pub const MIN_RATE_HZ: f64 = 6e6;
@@ -99,8 +96,10 @@ const MAX_GAIN: f64 = 0.2;
 pub struct CorrectionUncertainty {
     /// Standard deviation of the delay in seconds.
     lag_sigma_s: f64,
-    /// Delay in seconds that the bridge's resistance, which looks like a lag, may have added.
-    bridge_s: f64,
+    /// Standard deviation in seconds of what a resistance outside the voltage's probe added to the delay.
+    loop_s: f64,
+    /// Delay in seconds that such a resistance alone could explain; 0 if it cannot.
+    other_cause_s: f64,
     /// Square of the lag in s² if skew and low bandwidth cannot be told apart, else 0: their gains differ by half of
     /// (ω·lag)².
     ambiguous_lag_s2: f64,
@@ -135,7 +134,11 @@ impl CorrectionUncertainty {
         let lag_s = sensors.lag_s.value;
         Self {
             lag_sigma_s: sensors.lag_s.sigma.hypot(MODEL * lag_s),
-            bridge_s: BRIDGE_R_SIGMA_OHM * sensors.capacitance_f.value,
+            loop_s: sensors.loop_sigma_s(),
+            other_cause_s: match sensors.may_be_the_loop() {
+                true => sensors.bridge_r_ohm() * sensors.capacitance_f.value,
+                false => 0.0,
+            },
             ambiguous_lag_s2: if sensors.told_apart {
                 0.0
             } else {
@@ -159,7 +162,7 @@ impl CorrectionUncertainty {
 
     /// Deviations of R and L, those by the bridge's resistance among them.
     pub fn shared_sigma(&self, f_sw_hz: f64) -> SharedSigma {
-        self.by_lag(self.lag_sigma_s.hypot(self.bridge_s), f_sw_hz)
+        self.by_lag(self.lag_sigma_s.hypot(self.loop_s), f_sw_hz)
     }
 
     /// Deviation of R in percent by a lag that is wrong by `delay_s` seconds.
@@ -181,6 +184,9 @@ impl CorrectionUncertainty {
             return Some(remark.with(rate_hz, Some(MIN_RATE_HZ)));
         }
         let load = load?;
+        if self.other_cause_s > 0.0 {
+            return self.two_causes(load, segment.f_sw_hz);
+        }
         let pct = self.r_pct(self.lag_sigma_s, load, segment.f_sw_hz);
         if pct > DOUBTFUL_PCT {
             let text = format!(
@@ -190,7 +196,7 @@ impl CorrectionUncertainty {
             let remark = Remark::new("correction_doubtful", Severity::Warning, text);
             return Some(remark.with(pct, Some(DOUBTFUL_PCT)));
         }
-        let pct = self.r_pct(self.lag_sigma_s.hypot(self.bridge_s), load, segment.f_sw_hz);
+        let pct = self.r_pct(self.lag_sigma_s.hypot(self.loop_s), load, segment.f_sw_hz);
         (TOLERABLE_SIGMAS * pct > TOLERABLE_PCT[0]).then(|| {
             let text = format!(
                 "the sensors were corrected for a delay, of which the bridge's resistance may be a part: R is uncertain by \
@@ -199,6 +205,27 @@ impl CorrectionUncertainty {
             let remark = Remark::new("correction_doubtful", Severity::Warning, text);
             remark.with(pct, Some(TOLERABLE_PCT[0] / TOLERABLE_SIGMAS))
         })
+    }
+
+    /// Doubt of a correction whose whole delay a resistance could explain; an error where that is too much for a result.
+    fn two_causes(&self, load: Load, f_sw_hz: f64) -> Option<Remark> {
+        let pct = self.r_pct(self.lag_sigma_s.hypot(self.loop_s), load, f_sw_hz);
+        if TOLERABLE_SIGMAS * pct <= TOLERABLE_PCT[0] {
+            return None;
+        }
+        let (severity, limit) = match pct > MAX_SIGMA_PCT {
+            true => (Severity::Error, MAX_SIGMA_PCT),
+            false => (Severity::Warning, TOLERABLE_PCT[0] / TOLERABLE_SIGMAS),
+        };
+        let without = load.r_ohm - (TAU * f_sw_hz).powi(2) * load.l_h * self.other_cause_s;
+        let text = format!(
+            "the current was corrected for being late by {:.0} ns, which a resistance outside the voltage's probe (bridge, shunt, \
+             cables) would explain as well: then R is {without:.3} ohm, not {:.3}; it is uncertain by {pct:.1} %: use --self-calibrate off \
+             if there is such a resistance, or calibrate against a reference",
+            self.other_cause_s * 1e9,
+            load.r_ohm
+        );
+        Some(Remark::new("correction_doubtful", severity, text).with(pct, Some(limit)))
     }
 }
 
@@ -212,7 +239,7 @@ mod tests {
     fn a_delay_that_is_off_turns_the_impedance() {
         let uncertainty = CorrectionUncertainty {
             lag_sigma_s: 3e-9,
-            bridge_s: 4e-9,
+            loop_s: 4e-9,
             ..CorrectionUncertainty::default()
         };
         let mut estimate = Estimate::new(Method::LeastSquares, 45e3);

@@ -126,6 +126,8 @@ pub struct Circuit {
     pub load: LoadLaw,
     /// Resonance capacitor in farad.
     pub capacitance_f: f64,
+    /// Resistance of bridge, shunt and cables in ohm, outside the voltage's probe.
+    pub loop_r_ohm: f64,
     /// Neighbours.
     pub neighbours: Vec<Neighbour>,
     /// Factors on R and L from a time in seconds on.
@@ -271,7 +273,7 @@ impl Circuit {
             let t_s = begin_s + k as f64 * h;
             if k % inside == 0 {
                 if k >= settling * inside {
-                    waves.v_v.push(input.0 - x[2]);
+                    waves.v_v.push(input.0 - x[2] - self.loop_r_ohm * x[0]);
                     waves.i_a.push(x[0]);
                 }
                 let angle = TAU * self.bridge.periods(t_s);
@@ -319,7 +321,7 @@ impl Circuit {
         let slope = |x: [f64; 3], (bridge_v, induced_v): (f64, f64)| {
             let eddy_v = e.r_e * (x[0] - x[1]);
             [
-                (bridge_v - x[2] - induced_v - e.r_s * x[0] - eddy_v) / e.l_s,
+                (bridge_v - x[2] - induced_v - (e.r_s + self.loop_r_ohm) * x[0] - eddy_v) / e.l_s,
                 eddy_v * e.per_l_m,
                 x[0] / self.capacitance_f,
             ]
@@ -362,6 +364,7 @@ mod tests {
                     eddy,
                 },
                 capacitance_f: 0.9e-6,
+                loop_r_ohm: 0.0,
                 neighbours: Vec::new(),
                 load_step: None,
                 drift: (0.0, 0.0),

@@ -191,6 +191,7 @@ impl Plan {
                 bridge,
                 load,
                 capacitance_f: 1.0 / (omega * omega * l_h),
+                loop_r_ohm: 0.0,
                 neighbours: Vec::new(),
                 load_step: None,
                 drift: (0.0, 0.0),

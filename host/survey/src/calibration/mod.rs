@@ -124,7 +124,7 @@ impl Calibration {
                 SensorResponse::Right => 0.0,
                 _ => alike.skew_s,
             },
-            skew_sigma_s: sensors.lag_s.sigma,
+            skew_sigma_s: sensors.lag_s.sigma.hypot(sensors.loop_sigma_s()),
             gain_ratio: sensors
                 .known_capacitance_f
                 .map_or(1.0, |c_f| c_f / sensors.capacitance_f.value),
@@ -141,7 +141,7 @@ impl Calibration {
             reference: "blind".to_owned(),
             assumed: vec![
                 format!(
-                    "a bridge without resistance: 10 mohm would be {:.0} ns",
+                    "no resistance outside the voltage's probe (bridge, shunt, cables): 10 mohm would be {:.0} ns",
                     10e-3 * sensors.capacitance_f.value * 1e9
                 ),
                 "no direct current in the coil (offsets)".to_owned(),

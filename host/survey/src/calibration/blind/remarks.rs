@@ -105,10 +105,20 @@ impl SelfCalibration {
         }
         let (code, what) = self.in_words();
         if corrected {
+            let or = match self.may_be_the_loop() {
+                true => format!(
+                    "A resistance of {:.0} mohm outside the voltage's probe (bridge, shunt, cables) looks the same, and R and L are then \
+                     right without the correction",
+                    self.bridge_r_ohm() * 1e3
+                ),
+                false => format!(
+                    "A resistance of the bridge of 10 mohm would be {:.0} ns of it",
+                    0.01 * self.capacitance_f.value * 1e9
+                ),
+            };
             let text = format!(
-                "self-calibrated: {what}{cost}; {}. A resistance of the bridge of 10 mohm would be {:.0} ns of it",
-                self.full_correction(),
-                0.01 * self.capacitance_f.value * 1e9
+                "self-calibrated: {what}{cost}; {}. {or}",
+                self.full_correction()
             );
             return Remark::new("self_calibrated", Severity::Info, text).with(ns, None);
         }

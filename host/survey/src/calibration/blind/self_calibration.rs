@@ -81,6 +81,12 @@ pub struct SelfCalibration {
 /// Largest plausible resistance of a bridge in ohm: IGBTs drop 1.5 V at 40 A.
 pub const BRIDGE_R_MAX_OHM: f64 = 0.05;
 
+/// Largest resistance in ohm outside the voltage's probe that is not unusual: bridge, a shunt as current sensor, cables.
+const LOOP_R_MAX_OHM: f64 = 0.2;
+
+/// Standard deviation of a bridge's resistance in ohm: switches of hobs have 10 to 20 mohm.
+const BRIDGE_R_SIGMA_OHM: f64 = 0.01;
+
 /// Lag in seconds below which no correction is made.
 const MIN_LAG_S: f64 = 0.5e-9;
 
@@ -145,7 +151,27 @@ impl SelfCalibration {
         (least_s..BRIDGE_R_MAX_OHM * self.capacitance_f.value).contains(&self.beside_droop_s())
     }
 
-    /// Resistance of the bridge in ohm that would cause this lag, droop aside.
+    /// Returns `true` if a resistance outside the voltage's probe could explain the whole lag, droop aside: a slow current has exactly its
+    /// plateaus, and a late one nearly.
+    pub fn may_be_the_loop(&self) -> bool {
+        let beside_s = self.beside_droop_s();
+        let is_late = match self.response {
+            SensorResponse::Droop { .. } => beside_s > MIN_BESIDE_DROOP_S,
+            _ => beside_s > 0.0,
+        };
+        is_late && beside_s < LOOP_R_MAX_OHM * self.capacitance_f.value
+    }
+
+    /// Standard deviation of the sensors' lag by the resistance outside the voltage's probe, in seconds. Where that could be all of the lag, any
+    /// share of it is as likely as another.
+    pub fn loop_sigma_s(&self) -> f64 {
+        match self.may_be_the_loop() {
+            true => self.beside_droop_s() / 3f64.sqrt(),
+            false => BRIDGE_R_SIGMA_OHM * self.capacitance_f.value,
+        }
+    }
+
+    /// Resistance in ohm outside the voltage's probe that would cause this lag, droop aside.
     pub fn bridge_r_ohm(&self) -> f64 {
         self.beside_droop_s() / self.capacitance_f.value
     }
