@@ -184,8 +184,8 @@ impl CorrectionUncertainty {
             return Some(remark.with(rate_hz, Some(MIN_RATE_HZ)));
         }
         let load = load?;
-        if self.other_cause_s > 0.0 {
-            return self.two_causes(load, segment.f_sw_hz);
+        if let Some(doubt) = self.two_causes(load, segment.f_sw_hz) {
+            return Some(doubt);
         }
         let pct = self.r_pct(self.lag_sigma_s, load, segment.f_sw_hz);
         if pct > DOUBTFUL_PCT {
@@ -210,7 +210,7 @@ impl CorrectionUncertainty {
     /// Doubt of a correction whose whole delay a resistance could explain; an error where that is too much for a result.
     fn two_causes(&self, load: Load, f_sw_hz: f64) -> Option<Remark> {
         let pct = self.r_pct(self.lag_sigma_s.hypot(self.loop_s), load, f_sw_hz);
-        if TOLERABLE_SIGMAS * pct <= TOLERABLE_PCT[0] {
+        if self.other_cause_s == 0.0 || TOLERABLE_SIGMAS * pct <= TOLERABLE_PCT[0] {
             return None;
         }
         let (severity, limit) = match pct > MAX_SIGMA_PCT {

@@ -165,9 +165,10 @@ impl SelfCalibration {
     /// Standard deviation of the sensors' lag by the resistance outside the voltage's probe, in seconds. Where that could be all of the lag, any
     /// share of it is as likely as another.
     pub fn loop_sigma_s(&self) -> f64 {
+        let bridge_s = BRIDGE_R_SIGMA_OHM * self.capacitance_f.value;
         match self.may_be_the_loop() {
-            true => self.beside_droop_s() / 3f64.sqrt(),
-            false => BRIDGE_R_SIGMA_OHM * self.capacitance_f.value,
+            true => bridge_s.max(self.beside_droop_s() / 3f64.sqrt()),
+            false => bridge_s,
         }
     }
 
