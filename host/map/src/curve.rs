@@ -28,6 +28,18 @@ const COMMON_REACH: f64 = 1.0;
 /// Range of switching frequencies in hertz, wider than that of any hob.
 pub(crate) const FREQUENCIES_HZ: std::ops::RangeInclusive<f64> = 5e3..=500e3;
 
+/// Relative deviations of one window's R and L at an amplitude in ampere, beside noise: of bins and sensors, and what the network has in
+/// common at all windows. `most_a` is the window's largest amplitude.
+pub fn window_floor(i_a: f64, most_a: f64) -> [f64; 2] {
+    let grown = grown(i_a, most_a);
+    [0, 1].map(|q| MIN_SIGMA[q].hypot(COMMON_SIGMA[q]) * grown)
+}
+
+/// Growth of a deviation from the largest current down to this one.
+fn grown(i_a: f64, most_a: f64) -> f64 {
+    most_a / i_a.max(1e-3)
+}
+
 /// R and L at one current, with independent errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasuredPoint {
@@ -95,7 +107,7 @@ impl Bin {
         let sound = r_ohm > 0.0 && l_h > 0.0 && r_ohm.is_finite() && l_h.is_finite();
         let i_a = self.i_a();
         let weights = self.ln_weights();
-        let grown = most_a / i_a.max(1e-3);
+        let grown = grown(i_a, most_a);
         let relative = |q: usize| 1.0 / weights[q] + (MIN_SIGMA[q] * grown).powi(2);
         sound.then(|| Mean {
             i_a,

@@ -26,7 +26,7 @@ pub mod pot_model;
 mod sector;
 mod surface_table;
 
-pub use curve::{CurrentCurve, Mean, MeasuredPoint};
+pub use curve::{CurrentCurve, Mean, MeasuredPoint, window_floor};
 pub use library::{Library, LibraryError, PotEntry, Provenance};
 pub use misfit::current_knots;
 pub use posterior::RlPrediction;

@@ -3,14 +3,14 @@
 use std::f64::consts::TAU;
 
 use ihd_identify::network::{waveform, with_measured_noise};
-use ihd_map::{CurrentCurve, MeasuredPoint};
+use ihd_map::{CurrentCurve, MeasuredPoint, window_floor};
 use ihd_pinn::{Identification, PinnConfig, PinnError, identify};
 use ihd_shared::lookup::grid::I_MAX_MA;
 use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
 
 /// Trains the network on a window's segment and calls `on_step` after each step. Times of the result are seconds after the window's mains
-/// zero crossing.
+/// zero crossing. Its deviations hold what noise does not explain ([`ihd_map::window_floor`]).
 ///
 /// # Errors
 /// [`PinnError`] if the window or the configuration cannot be used.
@@ -21,7 +21,26 @@ pub fn fit_window(
 ) -> Result<Identification, PinnError> {
     let config = with_measured_noise(config, segment);
     let waveform = waveform(segment, (0, segment.len()), segment.zero_crossing_s);
-    identify(&waveform, &config, on_step)
+    let mut identified = identify(&waveform, &config, on_step)?;
+    raise_to_floor(&mut identified);
+    Ok(identified)
+}
+
+/// Raises the deviations, which are those of noise, by what any window has beside it.
+fn raise_to_floor(identified: &mut Identification) {
+    let i_a = &identified.i_amplitude_a;
+    let most_a = i_a.iter().copied().fold(0.0, f64::max);
+    let floors: Vec<_> = i_a
+        .iter()
+        .map(|&i_a| window_floor(i_a.max(MIN_CURRENT_A), most_a))
+        .collect();
+    let raise = |sigma: &mut [f64], value: &[f64], q: usize| {
+        for ((sigma, value), floor) in sigma.iter_mut().zip(value).zip(&floors) {
+            *sigma = sigma.hypot(floor[q] * value);
+        }
+    };
+    raise(&mut identified.r_sigma_ohm, &identified.r_ohm, 0);
+    raise(&mut identified.l_sigma_h, &identified.l_h, 1);
 }
 
 /// Lowest current of the curve, in ampere: the network weighs samples with the squared current, so that values below follow from their

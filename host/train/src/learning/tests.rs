@@ -223,6 +223,32 @@ fn a_warming_pot_stays_the_same_and_its_map_is_not_late() {
     );
 }
 
+/// Noise of the converters, 58 dB, is less than what sampling and network leave: at 30 dB that cannot show.
+#[test]
+fn deviations_of_a_window_are_those_of_its_errors() {
+    let mut kitchen = Kitchen::new(false, 20);
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for power_w in [700, 1_000, 1_500, 2_000] {
+        kitchen.client.set_power(power_w).unwrap();
+        let window = kitchen.window().0;
+        let truth = kitchen.hob.truth(window.half_cycle).expect("a recent one");
+        let segment = window.segment();
+        let found = fit_window(&segment, network(), &mut |_| ()).unwrap();
+        for (k, t_s) in found.t_s.iter().enumerate() {
+            if !(1e-3..9e-3).contains(t_s) {
+                continue;
+            }
+            let (r_ohm, l_h) = truth.at(*t_s).expect("a time of the half-cycle");
+            squares[0] += ((found.r_ohm[k] - r_ohm) / found.r_sigma_ohm[k]).powi(2);
+            squares[1] += ((found.l_h[k] - l_h) / found.l_sigma_h[k]).powi(2);
+            count += 1.0;
+        }
+    }
+    let z = squares.map(|s| f64::sqrt(s / count));
+    println!("root mean square of error/sigma: {z:.2?}");
+    assert!(z.iter().all(|z| (0.3..1.6).contains(z)), "{z:.2?}");
+}
+
 /// The judge of `ihd identify` stands before the lookup: what least squares contradicts and what has not settled teach nothing.
 #[test]
 fn a_window_that_is_contradicted_teaches_nothing() {
