@@ -5,6 +5,7 @@ use std::borrow::Cow;
 use ihd_identify::pooled::SharedSigma;
 use ihd_signal::{Capture, Remark, Segment};
 use ihd_survey::calibration::blind::{BlindOptions, CalibrationMode};
+use ihd_survey::calibration::sigma_of;
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::interference::Interference;
@@ -30,6 +31,8 @@ pub struct PreparedCapture<'a> {
     interference: Vec<Interference>,
     /// Relative deviations of R and of L by restored samples.
     restored: [f64; 2],
+    /// Deviations of the user's calibration: delay in seconds and relative gain.
+    calibration_sigma: Option<[f64; 2]>,
 }
 
 impl<'a> PreparedCapture<'a> {
@@ -82,6 +85,7 @@ impl<'a> PreparedCapture<'a> {
             capture = Cow::Owned(corrected);
         }
         Ok(Self {
+            calibration_sigma: sigma_of(&capture),
             capture,
             survey,
             sensors,
@@ -123,10 +127,15 @@ impl<'a> PreparedCapture<'a> {
             delay_s: 0.0,
         };
         let sensors = self.uncertainty.map(|u| u.shared_sigma(f_sw_hz));
+        let calibration = self.calibration_sigma.map(|[delay_s, gain]| SharedSigma {
+            shares: [gain; 2],
+            delay_s,
+        });
         let aliasing = self.survey.aliasing.as_ref();
         let aliasing = aliasing.map(|a| of([0.01 * a.r_pct, 0.01 * a.l_pct]));
         of(self.restored.map(|share| RESOLUTION.hypot(share)))
             .hypot(sensors.unwrap_or_default())
+            .hypot(calibration.unwrap_or_default())
             .hypot(aliasing.unwrap_or_default())
     }
 }

@@ -11,6 +11,7 @@ use ihd_sim::recording::settings::{
 };
 use ihd_survey::Hints;
 use ihd_survey::calibration::blind::BlindOptions;
+use ihd_survey::calibration::{Calibration, Correction};
 
 /// Two half-cycles of the behavioural load at 45 kHz, 12.5 MS/s, 12 bit, 50 dB.
 fn clean() -> CaptureSpec {
@@ -233,4 +234,41 @@ fn a_tone_is_judged_by_what_it_costs() {
     assert_eq!(severity(1.2e3, 8.0), Some(Severity::Warning));
     assert_eq!(severity(1.2e3, 0.02), None);
     assert_eq!(severity(20e3, 8.0), None);
+}
+
+/// A chain that is known to 20 ns and 2 % leaves R and L no better known, however clean the samples, and however many half-cycles.
+#[test]
+fn deviations_of_a_calibration_are_in_those_of_r_and_l() {
+    let (skew_sigma_s, gain_ratio_sigma) = (20e-9, 0.02);
+    let mut calibrated = capture(&clean());
+    let calibration = Calibration {
+        skew_s: 0.0,
+        skew_sigma_s,
+        gain_ratio: 1.0,
+        gain_ratio_sigma,
+        v_offset_v: 0.0,
+        i_offset_a: 0.0,
+        response: Correction::default(),
+        reference: "r=3".to_owned(),
+        assumed: Vec::new(),
+        capture: "another".to_owned(),
+        contradictions: Vec::new(),
+    };
+    calibration.apply(&mut calibrated);
+    let examined = examined(&calibrated, &[Method::LeastSquares]);
+    let found = examined.outcomes[0].result.as_ref().expect("an estimate");
+    let law = examined.pooled[0].as_ref().expect("two half-cycles");
+    let (crest, last) = (found.r_ohm.len() / 4, law.r_ohm.len() - 1);
+    let omega = std::f64::consts::TAU * found.f_sw_hz;
+    for (r_ohm, l_h, sigma) in [
+        (
+            found.r_ohm[crest],
+            found.l_h[crest],
+            found.r_sigma_ohm[crest],
+        ),
+        (law.r_ohm[last], law.l_h[last], law.r_sigma_ohm[last]),
+    ] {
+        let least = (gain_ratio_sigma * r_ohm).hypot(omega * omega * l_h * skew_sigma_s);
+        assert!((0.999..1.1).contains(&(sigma / least)), "{sigma} {least}");
+    }
 }

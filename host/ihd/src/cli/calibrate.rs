@@ -151,7 +151,7 @@ impl CalibrateArgs {
 fn summary(calibration: &Calibration) -> String {
     format!(
         "skew       {:.2} ± {:.2} ns (current later)\n{}\
-         gain       voltage over current {:.5} ± {:.5}\n\
+         gain       voltage over current {}\n\
          offsets    {:.4} V, {:.5} A\n\
          assumed    {}\n",
         calibration.skew_s * 1e9,
@@ -160,8 +160,10 @@ fn summary(calibration: &Calibration) -> String {
             true => String::new(),
             false => format!("response   {}\n", calibration.response),
         },
-        calibration.gain_ratio,
-        calibration.gain_ratio_sigma,
+        match calibration.gain_ratio_sigma {
+            0.0 => format!("{:.5}, assumed", calibration.gain_ratio),
+            sigma => format!("{:.5} ± {sigma:.5}", calibration.gain_ratio),
+        },
         calibration.v_offset_v,
         calibration.i_offset_a,
         calibration.assumed.join("; ")

@@ -289,7 +289,7 @@ fn a_full_standard_output_is_an_error_line_and_1() {
         "identify a.mcap --json",
         "convert a.mcap --out b.npz",
         "convert a.mcap --out b.npz --json",
-        "calibrate a.mcap --reference r=3,l=19u",
+        "calibrate a.mcap --reference blind",
         "hob --listen 127.0.0.1:0",
         "record --duration 100ms --out b.mcap",
         "replay a.mcap",

@@ -1,11 +1,12 @@
 //! Calibration from a capture of a reference.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
 
 use ihd_signal::Capture;
 use nalgebra::Complex;
 
 use super::{CONTRADICTION_SIGMAS, Calibration, ReferenceLoad, WELL_KNOWN_S};
+use crate::aliasing::Aliasing;
 use crate::impedance::{Wiring, load_of_order};
 use crate::track::{ORDERS, Track, track};
 use crate::{Finding, Severity, Survey, SurveyError};
@@ -89,11 +90,16 @@ pub fn estimate(
         ReferenceLoad::NoPot { r_ohm, l_h } => no_pot(survey, &points, r_ohm, l_h, &mut assumed)?,
         ReferenceLoad::Load { r_ohm, l_h } => load(survey, &points, r_ohm, l_h, &mut assumed)?,
     };
-    Ok(Calibration {
+    let varies = variation(capture, survey);
+    let calibration = Calibration {
         skew_s: result.skew.0,
-        skew_sigma_s: result.skew.1,
+        skew_sigma_s: result.skew.1.hypot(varies.skew_s).hypot(aliased_s(survey)),
         gain_ratio: result.gain.0,
-        gain_ratio_sigma: result.gain.1,
+        // 0 stands for an assumed ratio.
+        gain_ratio_sigma: match result.gain.1 {
+            0.0 => 0.0,
+            sigma => sigma.hypot(varies.ln_gain * result.gain.0),
+        },
         v_offset_v: survey.voltage.mean,
         i_offset_a: survey.current.mean,
         response: super::Correction::default(),
@@ -101,7 +107,92 @@ pub fn estimate(
         assumed,
         capture: survey.name.clone(),
         contradictions: result.contradiction.into_iter().collect(),
-    })
+    };
+    match varies.text {
+        // Numbers that no chain has name their own cause.
+        Some(what) if calibration.check().is_ok() => Err(CalibrateError::NotTheReference {
+            name: survey.name.clone(),
+            what,
+        }),
+        _ => Ok(calibration),
+    }
+}
+
+/// Standard deviation of the skew in seconds by edges that the rate folds onto the fundamental: they turn the voltage.
+fn aliased_s(survey: &Survey) -> f64 {
+    let f_sw_hz = survey
+        .spans
+        .iter()
+        .map(|s| s.f_sw_hz)
+        .fold(f64::INFINITY, f64::min);
+    let turn = |a: &Aliasing| FRAC_1_SQRT_2 * 0.01 * a.v_pct;
+    survey.aliasing.as_ref().map_or(0.0, turn) / (TAU * f_sw_hz)
+}
+
+/// Change of the impedance with the current, which a reference does not have.
+#[derive(Clone, Debug, Default)]
+struct Variation {
+    /// Half of the change of the impedance's phase, as a delay in seconds.
+    skew_s: f64,
+    /// Half of the change of ln |Z|.
+    ln_gain: f64,
+    /// The change as text, where it is more than a reference's; `None` else.
+    text: Option<String>,
+}
+
+/// Shares of the largest current whose impedances are compared.
+const SMALL: std::ops::Range<f64> = 0.25..0.5;
+const LARGE: std::ops::Range<f64> = 0.8..1.1;
+
+/// Change of ln Z beyond which a load is no reference: a pot's is above 0.1.
+const MAX_CHANGE: f64 = 0.03;
+
+/// Largest variation of the spans' fundamentals; none where the current is constant.
+fn variation(capture: &Capture, survey: &Survey) -> Variation {
+    let mut worst = Variation::default();
+    let mut most = 0.0;
+    for span in &survey.spans {
+        let track = track(capture, &span.run(), span.f_sw_hz);
+        let (Some(small), Some(large)) = (impedance(&track, SMALL), impedance(&track, LARGE))
+        else {
+            continue;
+        };
+        let change = (large / small).ln();
+        if change.norm() <= most {
+            continue;
+        }
+        most = change.norm();
+        let text = (most > MAX_CHANGE).then(|| {
+            format!(
+                "R is {:.2} ohm at small and {:.2} ohm at large current, ωL {:.2} and {:.2} ohm, where a reference has one of each",
+                small.re, large.re, small.im, large.im
+            )
+        });
+        worst = Variation {
+            skew_s: 0.5 * change.im.abs() / (TAU * span.f_sw_hz),
+            ln_gain: 0.5 * change.re.abs(),
+            text,
+        };
+    }
+    worst
+}
+
+/// Fewest frames of an impedance.
+const MIN_FRAMES: usize = 8;
+
+/// Impedance of the fundamental where the current is such a share of the largest one.
+fn impedance(track: &Track, share: std::ops::Range<f64>) -> Option<Complex<f64>> {
+    let (v, i) = (track.v_v.first()?, track.i_a.first()?);
+    let most = i.iter().map(|i| i.norm()).fold(0.0, f64::max);
+    let (mut power, mut square, mut frames) = (Complex::new(0.0, 0.0), 0.0, 0);
+    for (v, i) in v.iter().zip(i) {
+        if share.contains(&(i.norm() / most)) {
+            power += v * i.conj();
+            square += i.norm_sqr();
+            frames += 1;
+        }
+    }
+    (frames >= MIN_FRAMES).then(|| power / square)
 }
 
 /// Skew in seconds and gain ratio, each with its standard deviation.

@@ -59,6 +59,16 @@ pub struct Calibration {
 /// Key of a capture's metadata that describes the calibration it has.
 pub const METADATA_KEY: &str = "calibration";
 
+/// Key of a capture's metadata with the standard deviations of that calibration: of the skew in seconds, and of ln of the gains' ratio.
+const SIGMA_KEY: &str = "calibration_sigma";
+
+/// Standard deviations of the calibration that a capture has, of the skew in seconds and of ln of the gains' ratio; `None` without one.
+pub fn sigma_of(capture: &Capture) -> Option<[f64; 2]> {
+    let (skew_s, gain) = capture.metadata.get(SIGMA_KEY)?.split_once(' ')?;
+    let number = |text: &str| text.parse::<f64>().ok().filter(|x| (0.0..1.0).contains(x));
+    Some([number(skew_s)?, number(gain)?])
+}
+
 /// Standard deviations from which a difference of two numbers is a contradiction.
 const CONTRADICTION_SIGMAS: f64 = 5.0;
 
@@ -106,8 +116,8 @@ const MAX_SKEW_S: f64 = 10e-6;
 /// Skew in seconds that no usual pair of probes has: more is doubted.
 const DOUBTED_SKEW_S: f64 = 1e-6;
 
-/// Factor between the gains from which they are doubted.
-const DOUBTED_GAIN: f64 = 2.0;
+/// Factor between the gains from which they are doubted: probes are right to a few percent.
+const DOUBTED_GAIN: f64 = 1.1;
 
 impl Calibration {
     /// Creates a calibration from a self-calibration, with any load.
@@ -317,6 +327,12 @@ impl Calibration {
             self.reference
         );
         capture.metadata.insert(METADATA_KEY.to_owned(), note);
+        let sigma = format!(
+            "{:e} {:e}",
+            self.skew_sigma_s,
+            self.gain_ratio_sigma / self.gain_ratio
+        );
+        capture.metadata.insert(SIGMA_KEY.to_owned(), sigma);
     }
 }
 

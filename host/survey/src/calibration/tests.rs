@@ -261,6 +261,25 @@ fn what_gives_no_calibration_is_refused_with_the_reason() {
     assert!(matches!(e, CalibrateError::Unfit { .. }), "{e}");
 }
 
+/// A pot whose R falls by a third with the current has no R to calibrate against, whatever R is stated.
+#[test]
+fn a_load_that_goes_with_the_current_is_no_reference() {
+    let pot = capture(&settings(
+        SimulatedPot::new(PotBase::Ferritic, 0.21),
+        Sensing::default(),
+        7,
+    ));
+    let stated = ReferenceLoad::Load {
+        r_ohm: Some(3.3),
+        l_h: Some(25e-6),
+    };
+    let refused = calibrated(&pot, stated).unwrap_err();
+    assert!(
+        matches!(&refused, CalibrateError::NotTheReference { what, .. } if what.contains("at small")),
+        "{refused}"
+    );
+}
+
 /// A current probe of 100 kHz on the empty coil shows a delay that changes with frequency.
 #[test]
 fn a_probe_with_too_little_bandwidth_contradicts_itself() {
@@ -306,6 +325,7 @@ fn what_cannot_be_told_from_none_and_what_another_file_denies_is_doubted() {
         (1.166e-6, 1.0, "1166 ns"),
         (-1.166e-6, 1.0, "1166 ns"),
         (37e-9, 10.0, "10.0000"),
+        (37e-9, 0.85362, "0.8536"),
         (37e-9, 0.1, "0.1000"),
     ] {
         let odd = Calibration {
