@@ -39,13 +39,16 @@ pub fn synchronise_folder(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// File that is written under a temporary name beside its own, which it takes when it is complete. Dropped before that, it leaves
-/// nothing, and an older file of the name as it was.
+/// File that takes its name when it is complete. Dropped before that, it leaves nothing, and an older file of the name as it was. On
+/// Linux it has no name until then, where the file system allows it, so that a killed process leaves nothing either; else a temporary
+/// one beside its own.
 #[derive(Debug)]
 pub struct Replacement {
     path: PathBuf,
     /// Temporary name; `None` once there is none to remove, or if the file is written in place.
     temporary: Option<PathBuf>,
+    /// File without a name.
+    nameless: Option<File>,
 }
 
 impl Replacement {
@@ -64,13 +67,27 @@ impl Replacement {
         let mut path = path.to_owned();
         if let Some((metadata, file)) = older {
             if !metadata.is_file() {
-                let temporary = None;
-                return Ok((Self { path, temporary }, file));
+                let in_place = Self {
+                    path,
+                    temporary: None,
+                    nameless: None,
+                };
+                return Ok((in_place, file));
             }
             path = path.canonicalize()?;
             permissions = Some(metadata.permissions());
         }
-        let (begun, file) = Self::create(path)?;
+        let (begun, file) = match nameless(folder_of(&path)) {
+            Some(file) => {
+                let begun = Self {
+                    path,
+                    temporary: None,
+                    nameless: Some(file.try_clone()?),
+                };
+                (begun, file)
+            }
+            None => Self::create(path)?,
+        };
         if let Some(permissions) = permissions {
             file.set_permissions(permissions)?;
         }
@@ -80,8 +97,12 @@ impl Replacement {
     fn create(path: PathBuf) -> io::Result<(Self, File)> {
         let temporary = beside(&path)?;
         let file = File::create_new(&temporary)?;
-        let temporary = Some(temporary);
-        Ok((Self { path, temporary }, file))
+        let begun = Self {
+            path,
+            temporary: Some(temporary),
+            nameless: None,
+        };
+        Ok((begun, file))
     }
 
     /// Gives the file, which is completely written, its name.
@@ -89,6 +110,12 @@ impl Replacement {
     /// # Errors
     /// Error of the operating system; the older file is then unchanged, and the temporary one removed.
     pub fn complete(mut self) -> io::Result<()> {
+        if let Some(file) = &self.nameless {
+            file.sync_all()?;
+            let temporary = beside(&self.path)?;
+            name(file, &temporary)?;
+            self.temporary = Some(temporary);
+        }
         let Some(temporary) = &self.temporary else {
             return Ok(());
         };
@@ -116,6 +143,47 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let (replacement, mut file) = Replacement::begin(path)?;
     file.write_all(bytes)?;
     replacement.complete()
+}
+
+/// File without a name in a folder; `None` where it could not be given one later.
+#[cfg(target_os = "linux")]
+fn nameless(folder: &Path) -> Option<File> {
+    use nix::fcntl::{OFlag, open};
+    use nix::sys::stat::Mode;
+    let flags = OFlag::O_TMPFILE | OFlag::O_RDWR | OFlag::O_CLOEXEC;
+    let file = open(folder, flags, Mode::from_bits_truncate(0o666)).ok()?;
+    let file = File::from(file);
+    link_of(&file).exists().then_some(file)
+}
+
+#[cfg(target_os = "linux")]
+fn link_of(file: &File) -> PathBuf {
+    use std::os::fd::AsRawFd;
+    PathBuf::from(format!("/proc/self/fd/{}", file.as_raw_fd()))
+}
+
+/// Gives a file without a name one.
+#[cfg(target_os = "linux")]
+fn name(file: &File, path: &Path) -> io::Result<()> {
+    use nix::fcntl::{AT_FDCWD, AtFlags};
+    let follow = AtFlags::AT_SYMLINK_FOLLOW;
+    Ok(nix::unistd::linkat(
+        AT_FDCWD,
+        link_of(file).as_path(),
+        AT_FDCWD,
+        path,
+        follow,
+    )?)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn nameless(_folder: &Path) -> Option<File> {
+    None
+}
+
+#[cfg(not(target_os = "linux"))]
+fn name(_file: &File, _path: &Path) -> io::Result<()> {
+    Ok(())
 }
 
 fn folder_of(path: &Path) -> &Path {
@@ -201,6 +269,18 @@ mod tests {
             assert!(null.symlink_metadata().unwrap().is_symlink());
             assert_eq!(fs::read_dir(&folder).unwrap().count(), 3);
         }
+        fs::remove_dir_all(&folder).unwrap();
+    }
+
+    /// ^C and kill run no destructor: 61 MB of a hidden file stayed.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_killed_process_leaves_nothing() {
+        let folder = folder("killed");
+        let (replacement, mut file) = Replacement::begin(&folder.join("a.csv")).unwrap();
+        file.write_all(b"half").unwrap();
+        std::mem::forget(replacement);
+        assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
         fs::remove_dir_all(&folder).unwrap();
     }
 

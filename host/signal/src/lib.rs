@@ -23,6 +23,7 @@ pub mod segment;
 pub mod truth;
 pub mod vectorised;
 pub mod warp;
+pub mod with_sigma;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
 pub use load::Load;
@@ -30,3 +31,4 @@ pub use printable::printable;
 pub use remark::{Remark, Severity};
 pub use samples::{RawSamples, Samples};
 pub use segment::{Segment, SegmentError};
+pub use with_sigma::WithSigma;
