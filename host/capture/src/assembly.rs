@@ -54,6 +54,9 @@ impl OpenFile {
     }
 }
 
+/// Magnitude from which a sample is a scope's mark: SCPI writes ±9.9E37 for an overflow, 9.91E37 for no number, some divide by ten.
+const MARK: f32 = 9e36;
+
 /// Samples of one chosen channel.
 pub struct ChannelSamples {
     /// Samples in volt or ampere.
@@ -63,11 +66,13 @@ pub struct ChannelSamples {
 }
 
 impl ChannelSamples {
-    /// Applies the factor to volt or ampere.
+    /// Applies the factor to volt or ampere. A scope's mark becomes infinite, and the survey cuts the capture there.
     ///
     /// # Errors
     /// The sample that the factor drives beyond f32.
     pub fn new(mut values: Vec<f32>, channel: &FileChannel, factor: f64) -> Result<Self, String> {
+        let marks = values.iter_mut().filter(|x| x.abs() >= MARK);
+        marks.for_each(|x| *x = f32::INFINITY.copysign(*x));
         if factor != 1.0 {
             for (k, x) in values.iter_mut().enumerate() {
                 let scaled = (f64::from(*x) * factor) as f32;
@@ -197,4 +202,26 @@ fn paired_columns(both: Vec<FileSamples>, options: &OpenOptions) -> Result<Colum
         TimeBase::Stamps(_) => a.clone(),
     };
     Ok((columns, Some(time)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// SCPI's overflow mark, as a voltage of 9.9e37 V, made R -7.7e31 ohm; a probe's factor must not hide it.
+    #[test]
+    fn an_overflow_mark_is_not_finite() {
+        let channel = FileChannel {
+            name: "v".into(),
+            unit: None,
+            full_scale: None,
+        };
+        for factor in [1.0, 0.01, 100.0] {
+            let marks = vec![9.9e37, -9.9e37, 9.91e37, 9.9e36, 325.0];
+            let values = ChannelSamples::new(marks, &channel, factor).unwrap().values;
+            let finite: Vec<bool> = values.iter().map(|x| x.is_finite()).collect();
+            assert_eq!(finite, [false, false, false, false, true], "{values:?}");
+            assert!(values[1] < 0.0);
+        }
+    }
 }

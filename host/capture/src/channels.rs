@@ -216,7 +216,10 @@ const LISTED: usize = 12;
 fn listed(channels: &[FileChannel]) -> String {
     let one = |(k, c): (usize, &FileChannel)| {
         let unit = c.unit.map_or(String::new(), |u| format!(" in {u}"));
-        format!("{} `{}`{unit}", k + 1, printable(&c.name))
+        match c.name.as_str() {
+            "" => format!("{}{unit}", k + 1),
+            name => format!("{} `{}`{unit}", k + 1, printable(name)),
+        }
     };
     let shown: Vec<_> = channels.iter().enumerate().take(LISTED).map(one).collect();
     let rest = channels.len().saturating_sub(LISTED);

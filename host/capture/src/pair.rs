@@ -42,7 +42,8 @@ pub fn overlap(
             let whole = libm::round(shift);
             if (shift - whole).abs() > SKEW {
                 return Err(format!(
-                    "the samples of the one lie {:.3} of an interval beside the other's",
+                    "the samples of the one lie {:.3} of an interval beside the other's, which would be a skew: export both channels of \
+                     one acquisition, or one file of both",
                     shift - whole
                 ));
             }
