@@ -187,7 +187,7 @@ pub fn identify(
     };
     let sensors = BlindOptions {
         mode: mode(self_calibrate)?,
-        capacitance_f: stated("capacitance", capacitance, StatedRange::AboveZero)?,
+        capacitance_f: stated("capacitance", capacitance, StatedRange::CapacitanceF)?,
     };
     let mut samples = capture.get().to_signal(py)?;
     let examined = interruptible(py, |look| {

@@ -44,7 +44,7 @@ class Equality(unittest.TestCase):
             self.same(estimate.t, entry["t_s"])
             self.same(estimate.R, entry["r_ohm"])
             self.same(estimate.L, entry["l_h"])
-            for sigma, stated in [(estimate.sigma_R, "r_sigma"), (estimate.sigma_L, "l_sigma")]:
+            for sigma, stated in [(estimate.sigma_R, "r_sigma_ohm"), (estimate.sigma_L, "l_sigma_h")]:
                 if entry[stated]:
                     self.same(sigma, entry[stated])
                 else:
@@ -62,7 +62,7 @@ class Equality(unittest.TestCase):
             self.assertEqual(estimate.notes, entry["notes"])
             self.assertEqual(estimate.law is None, "pooled" not in entry)
             if estimate.law is not None:
-                names = {"i": "i_a", "R": "r_ohm", "L": "l_h", "sigma_R": "r_sigma", "sigma_L": "l_sigma", "chi2": "chi2"}
+                names = {"i": "i_a", "R": "r_ohm", "L": "l_h", "sigma_R": "r_sigma_ohm", "sigma_L": "l_sigma_h", "chi2": "chi2"}
                 for name, stated in names.items():
                     self.same(getattr(estimate.law, name), entry["pooled"][stated])
 
@@ -153,7 +153,7 @@ class Arrays(unittest.TestCase):
             ({"self_calibrate": "perhaps"}, "report"),
             *(({"f_sw": f}, "1 kHz to 1 MHz") for f in (-1.0, 0.0, nan, inf)),
             *(({"f_mains": f}, "1 Hz to 1 kHz") for f in (0.0, -50.0, nan, inf)),
-            *(({"capacitance": c}, "above zero") for c in (0.0, -1e-6, nan, inf)),
+            *(({"capacitance": c}, "10 nF") for c in (0.0, -1e-6, 1.08, nan, inf)),
             *(({"zero_crossing": t}, "finite") for t in (nan, inf)),
         ]
         for options, says in wrong:

@@ -101,6 +101,13 @@ const CAPTURE: &[Code] = &[
         "check --input fsw=HZ or the time base",
     ),
     code(
+        "harmonic_taken",
+        "error",
+        "the frequency found is a harmonic of a lower line in the current",
+        "a tenth of its amplitude",
+        "--input fsw=HZ",
+    ),
+    code(
         "mains_differs",
         "warning",
         "another mains frequency than was given",
@@ -116,10 +123,10 @@ const CAPTURE: &[Code] = &[
     ),
     code(
         "time_base",
-        "error",
-        "the envelope is that of a mains of 25, 30, 100 or 120 Hz: the rate is wrong by two",
-        "a fiftieth of the envelope's variance, a tenth of what 45 to 65 Hz leave",
-        "give the rate: --input rate=HZ",
+        "warning; error below 45 and above 65 Hz",
+        "the envelope is that of a mains that no grid has: the rate is wrong",
+        "1.5 Hz from 50 or 60 Hz, and a third of what those leave of its variance",
+        "give the rate: --input rate=HZ; or --input mains=HZ",
     ),
     code(
         "clipping",
@@ -280,10 +287,10 @@ const SENSORS: &[Code] = &[
     ),
     code(
         "gain_unknown",
-        "info",
-        "the capacitance that the capture shows if the gains are right",
-        "none",
-        "--input resonance-capacitance",
+        "info, warning",
+        "the capacitance that the capture shows if the gains are right; a warning where no hob has it",
+        "150-5000 nF",
+        "--input resonance-capacitance; check the probes' factors",
     ),
     code(
         "self_calibration_impossible",
@@ -430,7 +437,7 @@ const GATE: &[Code] = &[
     ),
     code(
         "implausible_load",
-        "warning; error for the lookup",
+        "warning; error ten times beyond, and for the lookup",
         "R or L outside those of hobs",
         "0.02-15.9 Ω, 2-63.9 µH",
         "check the probes' factors",

@@ -226,10 +226,12 @@ fn uncertainty(
         // Noise is not the cause where least squares knows more of the same samples.
         let known = known.filter(|(_, known, limit)| known / limit < WARNING_SHARE);
         (share > WARNING_SHARE).then(|| {
-            let of = format!("{name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s");
+            let of = format!(
+                "{name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s"
+            );
             let text = match known {
-                Some((name, known, _)) => format!(
-                    "this estimator leaves {of}, and least squares leaves {name} by {known:.2} %: take another method"
+                Some((_, known, _)) => format!(
+                    "this method leaves {of}, least squares by {known:.2} %: use least-squares"
                 ),
                 None => format!(
                     "noise leaves {of}: take a longer capture, a smaller range or more bits"
@@ -358,29 +360,34 @@ fn remark(
     }
 }
 
-/// Warns of an R or L outside [`plausible_ranges`]. It is no error, because a scope may record anything and the lookup has
-/// its own check. Points near the zero crossings are left out: noise alone can cause any R and L there.
+/// Factor beyond [`plausible_ranges`] from which a mean R or L comes of a wrong unit or probe.
+const OUT_OF_SCALE: f64 = 10.0;
+
+/// Warns of an R or L outside [`plausible_ranges`], because a scope may record anything and the lookup has its own check; means far
+/// outside are an error. Points near the zero crossings are left out: noise alone can cause any R and L there.
 fn plausibility(segment: &Segment, estimate: &Estimate) -> Option<Remark> {
-    let [r_range, l_range] = plausible_ranges();
     let half_s = segment.half_cycle_s();
     let in_middle = |t: &f64| comparison::MIDDLE.contains(&(segment.since_crossing_s(*t) / half_s));
-    let outside = |x: &[f64], (low, high): (f64, f64)| {
+    let outside = |name, x: &[f64], (low, high): (f64, f64), unit, scale: f64| {
         let middle = estimate.t_s.iter().zip(x).filter(|(t, _)| in_middle(t));
-        let mut values = middle.map(|(_, x)| *x);
-        values.find(|x| !(low..=high).contains(x))
-    };
-    let (text, value) = if let Some(r) = outside(&estimate.r_ohm, r_range) {
-        (
-            format!("R reaches {r:.3} Ω, which no hob's pot has (0.02-15.9 Ω)"),
-            r,
-        )
-    } else {
-        let l = outside(&estimate.l_h, l_range)?;
+        let values: Vec<f64> = middle.map(|(_, x)| *x).collect();
+        let value = *values.iter().find(|x| !(low..=high).contains(*x))?;
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let is_far = !(low / OUT_OF_SCALE..=OUT_OF_SCALE * high).contains(&mean);
+        let (verb, shown, severity) = match is_far {
+            true => ("is", mean, Severity::Error),
+            false => ("reaches", value, Severity::Warning),
+        };
         let text = format!(
-            "L reaches {:.2} µH, which no hob's coil has (2-63.9 µH)",
-            l * 1e6
+            "{name} {verb} {:.3} {unit}, which no hob has ({:.2}-{:.1} {unit}): check the probes' factors (--input probe) and units",
+            shown * scale,
+            low * scale,
+            high * scale
         );
-        (text, l)
+        Some(Remark::new("implausible_load", severity, text).with(shown, None))
     };
-    Some(Remark::new("implausible_load", Severity::Warning, text).with(value, None))
+    let [r_range, l_range] = plausible_ranges();
+    let r = outside("R", &estimate.r_ohm, r_range, "Ω", 1.0);
+    let l = outside("L", &estimate.l_h, l_range, "µH", 1e6);
+    l.into_iter().chain(r).max_by_key(|f| f.severity)
 }

@@ -95,6 +95,30 @@ fn what_is_right_passes_without_a_word() {
     }
 }
 
+/// A probe's factor that nobody stated: ten is warned of, more is refused.
+#[test]
+fn a_factor_that_was_not_stated_is_not_silent() {
+    for (v, i, verdict) in [
+        (0.1, 1.0, Verdict::Pass),
+        (10.0, 1.0, Verdict::Pass),
+        (1.0, 0.01, Verdict::Refuse),
+        (1e-3, 1.0, Verdict::Refuse),
+    ] {
+        let mut capture = capture(&clean());
+        (capture.v_full_scale_v, capture.i_full_scale_a) = (None, None);
+        capture.v_v.iter_mut().for_each(|x| *x *= v);
+        capture.i_a.iter_mut().for_each(|x| *x *= i);
+        let examined = examined(&capture, &[Method::LeastSquares]);
+        let gate = &examined.outcomes[0].judgement.gate;
+        assert_eq!(gate.verdict, verdict, "v × {v}, i × {i}: {gate}");
+        let said = examined
+            .sensors_to_report()
+            .chain(&examined.outcomes[0].judgement.findings);
+        let warned = said.filter(|f| f.severity >= Severity::Warning);
+        assert!(warned.count() > 0, "v × {v}, i × {i}");
+    }
+}
+
 /// An error of more than 1 % of R or .7 % of L (middle 80 %) is never silent, whatever made it.
 #[test]
 fn what_is_wrong_is_not_silent() {
@@ -210,7 +234,7 @@ fn the_linear_filter_is_refused_in_noise_and_least_squares_is_not() {
         !uncertain.is_empty()
             && uncertain
                 .iter()
-                .all(|f| f.text.contains("take another method"))
+                .all(|f| f.text.contains("use least-squares"))
     );
     assert!(least_squares.judgement.gate.passes());
 }

@@ -57,7 +57,7 @@ impl ModelResidual {
             (Severity::Info, "the standard deviations contain it")
         };
         let text = format!(
-            "the harmonics leave {:.1} times what noise would beside the fundamental (R ± {:.2} %, L ± {:.2} %): {advice}",
+            "the fit leaves {:.1} times the noise; R may be off by {:.2} %, L by {:.2} %: {advice}",
             chi2.sqrt(),
             100.0 * r,
             100.0 * l,

@@ -55,7 +55,7 @@ pub enum SurveyError {
     /// The sampling rate is too low for any switching frequency.
     #[error(
         "{name}: sampled at {rate_hz:.0} Hz, which cannot show a switching frequency of {least_hz:.0} Hz: \
-         sample at more than twice of it"
+         sample at more than twice of it, or give --input rate=HZ where the file's time is in another unit than seconds"
     )]
     TooSlow {
         /// Name of the capture.

@@ -6,6 +6,8 @@ use ihd_signal::Remark;
 pub use ihd_signal::Severity;
 use serde::Serialize;
 
+use super::mains;
+
 /// Channel of a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -45,7 +47,7 @@ impl fmt::Display for Channel {
 
 /// Finding about a capture, with its numbers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(tag = "kind", rename_all = "snake_case")]
+#[serde(tag = "code", rename_all = "snake_case")]
 pub enum Finding {
     /// Samples are not finite; the capture is cut there.
     NotFinite {
@@ -114,6 +116,15 @@ pub enum Finding {
         /// Measured frequency in hertz.
         measured_hz: f64,
     },
+    /// The frequency found is a harmonic of a lower line in the current.
+    HarmonicTaken {
+        /// Frequency found in hertz.
+        f_hz: f64,
+        /// Order of the harmonic.
+        order: u32,
+        /// Amplitude of the lower line in percent of the harmonic's.
+        share_pct: f64,
+    },
     /// The mains frequency specified differs from that of the envelope.
     MainsDiffers {
         /// Frequency given by the user or stated by the capture, in hertz.
@@ -124,19 +135,21 @@ pub enum Finding {
     },
     /// The mains' phase could not be found.
     MainsUnknown {
-        /// Assumed frequency in hertz.
+        /// Frequency used in hertz.
         assumed_hz: f64,
+        /// Origin of this frequency.
+        hz_source: mains::MainsSource,
         /// Length of the capture in half-cycles of this frequency.
         half_cycles: f64,
         /// (Largest − smallest)/largest of the voltage's amplitude.
         modulation: f64,
     },
-    /// The envelope is that of a mains that no grid has, half or twice a usual one: the time base is wrong.
+    /// The envelope is that of a mains that no grid has: the time base is wrong.
     TimeBase {
         /// Mains frequency that the envelope shows, in hertz.
         shown_hz: f64,
-        /// Usual frequency in hertz.
-        usual_hz: f64,
+        /// Sampling rate stated, in hertz.
+        rate_hz: f64,
     },
     /// A channel rests at an end of its range.
     Clipping {
@@ -237,8 +250,10 @@ impl Finding {
             | Self::Gap { .. }
             | Self::NotFinite { .. }
             | Self::Aliasing { .. } => Severity::Warning,
+            Self::TimeBase { shown_hz, .. } if mains::is_possible(*shown_hz) => Severity::Warning,
             Self::TimeNotAscending { .. }
             | Self::TimeBase { .. }
+            | Self::HarmonicTaken { .. }
             | Self::Clipping { .. }
             | Self::Swapped { .. }
             | Self::Inverted { .. }
@@ -249,7 +264,7 @@ impl Finding {
 }
 
 impl Finding {
-    /// Kind of the finding in `snake_case`, as in JSON.
+    /// Code of the finding in `snake_case`, as in JSON.
     pub fn code(&self) -> &'static str {
         match self {
             Self::NotFinite { .. } => "not_finite",
@@ -260,6 +275,7 @@ impl Finding {
             Self::FrequencyStep { .. } => "frequency_step",
             Self::FrequencySweep { .. } => "frequency_sweep",
             Self::FrequencyDiffers { .. } => "frequency_differs",
+            Self::HarmonicTaken { .. } => "harmonic_taken",
             Self::MainsDiffers { .. } => "mains_differs",
             Self::MainsUnknown { .. } => "mains_unknown",
             Self::TimeBase { .. } => "time_base",
@@ -289,6 +305,7 @@ impl Finding {
             Self::FrequencyDiffers { measured_hz, .. } | Self::MainsDiffers { measured_hz, .. } => {
                 *measured_hz
             }
+            Self::HarmonicTaken { share_pct, .. } => *share_pct,
             Self::MainsUnknown { half_cycles, .. } => *half_cycles,
             Self::TimeBase { shown_hz, .. } => *shown_hz,
             Self::Offset { mean, .. } => *mean,
@@ -306,7 +323,7 @@ impl Finding {
         Some(match self {
             Self::FrequencyDiffers { specified_hz, .. }
             | Self::MainsDiffers { specified_hz, .. } => *specified_hz,
-            Self::TimeBase { usual_hz, .. } => *usual_hz,
+            Self::HarmonicTaken { .. } => 100.0 * super::subharmonic::LEAST,
             Self::Implausible { most, .. } => *most,
             Self::CoarselySampled { .. } => super::COARSE_SAMPLES_PER_PERIOD,
             Self::Aliasing { .. } => ALIASING_WARNING_PCT,
@@ -394,6 +411,18 @@ impl fmt::Display for Finding {
                 specified_hz * 1e-3,
                 measured_hz * 1e-3
             ),
+            Self::HarmonicTaken {
+                f_hz,
+                order,
+                share_pct,
+            } => write!(
+                f,
+                "{:.2} kHz is harmonic {order} of {:.2} kHz, which the current has with {share_pct:.0} % of its amplitude: if the \
+                 bridge switches there, give --input fsw={:.2}k",
+                f_hz * 1e-3,
+                f_hz * 1e-3 / f64::from(*order),
+                f_hz * 1e-3 / f64::from(*order)
+            ),
             Self::MainsDiffers {
                 specified_hz,
                 measured_hz,
@@ -404,20 +433,38 @@ impl fmt::Display for Finding {
             ),
             Self::MainsUnknown {
                 assumed_hz,
+                hz_source,
                 half_cycles,
                 modulation,
-            } => write!(
+            } => {
+                let pct = modulation * 100.0;
+                match (*half_cycles < 1.0, *modulation < mains::MIN_MODULATION) {
+                    (true, _) => write!(
+                        f,
+                        "{half_cycles:.2} half-cycles with {pct:.0} % modulation show no mains zero crossing: capture one half-cycle at least"
+                    )?,
+                    (_, true) => write!(
+                        f,
+                        "the voltage's amplitude shows no mains ({pct:.0} % modulation): capture with a rectified mains"
+                    )?,
+                    _ => write!(
+                        f,
+                        "the voltage's amplitude follows no mains of 45 to 65 Hz: capture at constant power and load"
+                    )?,
+                }
+                write!(
+                    f,
+                    ", or give --input zero-crossing=S; {assumed_hz:.2} Hz is {hz_source}"
+                )
+            }
+            Self::TimeBase { shown_hz, rate_hz } => write!(
                 f,
-                "no mains zero crossing found ({half_cycles:.2} half-cycles, {:.0} % modulation): \
-                 {assumed_hz} Hz assumed; give the mains frequency and a zero crossing, or capture \
-                 at least a half-cycle",
-                modulation * 100.0
-            ),
-            Self::TimeBase { shown_hz, usual_hz } => write!(
-                f,
-                "the envelope is that of a mains of {shown_hz} Hz, so that the time base is wrong by a factor of {}, and L and the \
-                 frequencies with it: give the rate (--input rate=HZ)",
-                shown_hz.max(*usual_hz) / shown_hz.min(*usual_hz)
+                "the envelope is that of a mains of {shown_hz:.2} Hz, which no grid has: the time base is wrong by {:+.1} or {:+.1} %, and \
+                 L and the frequencies with it; give --input rate={:.4}M for 50 Hz, {:.4}M for 60 Hz, or mains={shown_hz:.1} if it is right",
+                2.0 * shown_hz - 100.0,
+                shown_hz / 0.6 - 100.0,
+                rate_hz * 50e-6 / shown_hz,
+                rate_hz * 60e-6 / shown_hz
             ),
             Self::Clipping {
                 channel,
@@ -522,7 +569,7 @@ mod tests {
             },
         ] {
             let json = serde_json::to_value(&finding).unwrap();
-            assert_eq!(json["kind"], finding.code());
+            assert_eq!(json["code"], finding.code());
             assert_eq!(finding.remark().code, finding.code());
         }
     }

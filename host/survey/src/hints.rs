@@ -26,8 +26,10 @@ pub enum StatedRange {
     MainsHz,
     /// Time in seconds.
     TimeS,
-    /// Capacitance in farad, or sampling rate in hertz.
+    /// Sampling rate in hertz.
     AboveZero,
+    /// Capacitance of a hob's resonance capacitor in farad.
+    CapacitanceF,
     /// Ratio of a probe.
     ProbeRatio,
 }
@@ -39,6 +41,7 @@ pub enum StatedRange {
     StatedRange::MainsHz => "of 1 Hz to 1 kHz",
     StatedRange::TimeS => "that is finite",
     StatedRange::AboveZero => "above zero",
+    StatedRange::CapacitanceF => "of 10 nF to 100 µF, in farad (1080 nF is 1.08e-6)",
     StatedRange::ProbeRatio => "other than zero",
 })]
 pub struct OutOfRange(StatedRange);
@@ -54,10 +57,26 @@ impl StatedRange {
             Self::MainsHz => SPECIFIED_HZ.contains(&x),
             Self::TimeS => true,
             Self::AboveZero => x >= f64::MIN_POSITIVE,
+            Self::CapacitanceF => (10e-9..=100e-6).contains(&x),
             Self::ProbeRatio => x != 0.0,
         };
         (x.is_finite() && is_within)
             .then_some(x)
             .ok_or(OutOfRange(self))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 1.08 for 1.08 µF, and 1080 for 1080 nF.
+    #[test]
+    fn a_capacitance_without_its_prefix_is_refused() {
+        for x in [1.08, 1080.0, 1e-12, 0.0, f64::NAN] {
+            let refused = StatedRange::CapacitanceF.check(x).unwrap_err();
+            assert!(refused.to_string().contains("in farad"), "{x}: {refused}");
+        }
+        assert_eq!(StatedRange::CapacitanceF.check(1.08e-6), Ok(1.08e-6));
     }
 }

@@ -19,6 +19,7 @@ mod lines;
 pub mod mains;
 mod pieces;
 pub mod spectrum;
+mod subharmonic;
 pub mod time;
 pub mod track;
 
@@ -120,6 +121,7 @@ impl Survey {
         let runs = time::runs(capture, &mut findings);
         let (pieces, tracks) = pieces::find(capture, hints, &runs, &mut findings)?;
         pieces::frequency_findings(capture, hints, &pieces, &mut findings);
+        findings.extend(subharmonic::find(capture, &pieces));
         let strongest = strongest(&tracks);
         let wiring = tracks
             .get(strongest)
@@ -136,11 +138,14 @@ impl Survey {
             (Wiring::default(), vec![None; tracks.len()])
         };
         let (start_s, end_s) = extent_s(capture, &runs);
+        let longest = runs.iter().max_by_key(|r| r.samples.len());
+        let rate_hz = longest.map_or(0.0, |r| 1.0 / r.dt_s);
         let mains = mains::find(
             &envelopes(&tracks, wiring),
             hints.mains_hz.or(capture.mains_hz),
             hints.zero_crossing_s.or(capture.zero_crossing_s),
             start_s,
+            rate_hz,
             &mut findings,
         );
         let spans: Vec<Span> = (pieces.iter().zip(&loads)).map(span).collect();
@@ -153,13 +158,12 @@ impl Survey {
             Vec::new()
         };
         findings.sort_by_key(|f| std::cmp::Reverse(f.severity()));
-        let longest = runs.iter().max_by_key(|r| r.samples.len());
         Ok(Self {
             name: capture.name.clone(),
             samples: capture.len(),
             start_s,
             duration_s: end_s - start_s,
-            rate_hz: longest.map_or(0.0, |r| 1.0 / r.dt_s),
+            rate_hz,
             half_cycles_s: half_cycles(&mains, &spans),
             spans,
             mains,

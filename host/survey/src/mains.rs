@@ -5,13 +5,14 @@
 //! all. Less than a few half-cycles cannot separate a constant from a lower frequency; the law is then c1 s + c2 s² + c3 s³.
 
 mod fit;
+mod time_base;
 
 use std::ops::RangeInclusive;
 
 use serde::Serialize;
 
 pub use self::fit::PieceEnvelope;
-use self::fit::{FIRST_LOOK_S, Fit, Law, NOMINAL_HZ, Search, fit};
+use self::fit::{FIRST_LOOK_S, Fit, NOMINAL_HZ, RANGE_HZ, Search, fit};
 use super::finding::Finding;
 
 /// Origin of a number of the mains.
@@ -25,6 +26,16 @@ pub enum MainsSource {
     Measured,
     /// Assumed, because it is neither specified nor measurable.
     Assumed,
+}
+
+impl std::fmt::Display for MainsSource {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Specified => "given",
+            Self::Measured => "measured",
+            Self::Assumed => "assumed",
+        })
+    }
 }
 
 /// Frequency and phase of the mains.
@@ -70,7 +81,7 @@ const FREE_HALF_CYCLES: f64 = 1.5;
 const MIN_HALF_CYCLES: f64 = 0.4;
 
 /// Depth of modulation below which the bus counts as constant.
-const MIN_MODULATION: f64 = 0.3;
+pub(super) const MIN_MODULATION: f64 = 0.3;
 
 /// Difference of frequency in hertz that is reported: more than that of any grid.
 const DIFFERS_HZ: f64 = 1.0;
@@ -84,13 +95,19 @@ const MAX_UNEXPLAINED_SHARE: f64 = 1e-3;
 /// Spacing of the envelope's points that are used, in seconds.
 const SPACING_S: f64 = 0.15e-3;
 
+/// Returns `true` for a frequency in hertz that the mains of a generator may have.
+pub(super) fn is_possible(hz: f64) -> bool {
+    (RANGE_HZ.0..=RANGE_HZ.1).contains(&hz)
+}
+
 /// Determines frequency and zero crossing: as specified, else from the envelope, else assumed with a finding. `start_s` is the
-/// time of the capture's first sample.
+/// time of the capture's first sample, `rate_hz` its sampling rate.
 pub fn find(
     envelopes: &[PieceEnvelope],
     specified_hz: Option<f64>,
     specified_crossing_s: Option<f64>,
     start_s: f64,
+    rate_hz: f64,
     findings: &mut Vec<Finding>,
 ) -> Mains {
     let envelopes: Vec<PieceEnvelope> = envelopes.iter().map(thinned).collect();
@@ -103,7 +120,7 @@ pub fn find(
         && specified_hz.is_none_or(|hz| SPECIFIED_HZ.contains(&hz));
     let search = match half_cycles >= FREE_HALF_CYCLES {
         _ if coverage.is_paused => Search::NearNominal,
-        true => Search::Free,
+        true => Search::Free(RANGE_HZ.0, RANGE_HZ.1),
         false => Search::Nominal,
     };
     let of_hz = |hz: Option<f64>| match hz {
@@ -127,7 +144,8 @@ pub fn find(
         }
     }
     if seen && specified_hz.is_none() {
-        findings.extend(wrong_time_base(&envelopes, measured, coverage.seen_s));
+        let shown_hz = time_base::no_grids_hz(&envelopes, measured, &coverage);
+        findings.extend(shown_hz.map(|shown_hz| Finding::TimeBase { shown_hz, rate_hz }));
     }
     let hz = specified_hz
         .or(measured.map(|m| m.hz))
@@ -156,39 +174,12 @@ pub fn find(
     {
         findings.push(Finding::MainsUnknown {
             assumed_hz: hz,
+            hz_source: mains.hz_source,
             half_cycles,
             modulation,
         });
     }
     mains
-}
-
-/// Mains frequencies in hertz that no grid has, and the usual ones that a rate wrong by two turns into them.
-const UNUSUAL_HZ: [(f64, f64); 4] = [(25.0, 50.0), (30.0, 60.0), (100.0, 50.0), (120.0, 60.0)];
-
-/// Largest unexplained variance of an unusual frequency, and relative to that of the usual range.
-const MAX_UNUSUAL_UNEXPLAINED: f64 = 0.02;
-const UNUSUAL_BETTER: f64 = 0.1;
-
-/// Finding that the envelope shows a mains of half or twice a usual frequency, and by far not one of the usual range.
-fn wrong_time_base(
-    envelopes: &[PieceEnvelope],
-    usual: Option<Fit>,
-    seen_s: f64,
-) -> Option<Finding> {
-    let of = |(shown_hz, usual_hz): (f64, f64)| {
-        // Shorter ones cannot separate a constant from a lower frequency.
-        let enough = 2.0 * seen_s * shown_hz >= FREE_HALF_CYCLES;
-        let fit = enough
-            .then(|| fit(envelopes, Search::At(shown_hz, Law::Held)))
-            .flatten()?;
-        Some((fit.unexplained, shown_hz, usual_hz))
-    };
-    let all = UNUSUAL_HZ.into_iter().filter_map(of);
-    let (left, shown_hz, usual_hz) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let of_usual = usual.map_or(1.0, |fit| fit.unexplained);
-    (left < MAX_UNUSUAL_UNEXPLAINED.min(UNUSUAL_BETTER * of_usual))
-        .then_some(Finding::TimeBase { shown_hz, usual_hz })
 }
 
 /// Means of an envelope over [`SPACING_S`].

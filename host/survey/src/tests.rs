@@ -486,3 +486,59 @@ fn the_firmwares_dither_is_steps_and_no_sweep() {
         assert!((found - right).abs() < 5.0, "{found} {right}");
     }
 }
+
+/// Coil of 21 µH and 2.7 ohm with 1080 nF at a half-bridge of 325 V at the crest: harmonics by the impedances.
+fn bridge_at(f_sw_hz: f64) -> Capture {
+    use nalgebra::Complex;
+    let harmonics: Vec<(f64, Complex<f64>, Complex<f64>)> = (0..12)
+        .map(|k| f64::from(2 * k + 1))
+        .map(|n| {
+            let omega = std::f64::consts::TAU * n * f_sw_hz;
+            let coil = Complex::new(2.7, omega * 21e-6);
+            let i = 2.0 * 325.0
+                / (std::f64::consts::PI * n)
+                / (coil - Complex::new(0.0, 1.0 / (omega * 1080e-9)));
+            (omega, coil * i, i)
+        })
+        .collect();
+    let dt_s = 0.25e-6;
+    let sample = |k: u32, of: fn(&(f64, Complex<f64>, Complex<f64>)) -> Complex<f64>| {
+        let t_s = dt_s * f64::from(k);
+        let mains = (std::f64::consts::TAU * 50.0 * t_s).sin().abs();
+        let of = |h| (of(h) * Complex::from_polar(1.0, h.0 * t_s)).im;
+        (mains * harmonics.iter().map(of).sum::<f64>()) as f32
+    };
+    Capture {
+        name: "a bridge".to_owned(),
+        time: TimeBase::Even { t0_s: 0.0, dt_s },
+        v_v: (0..80_000).map(|k| sample(k, |h| h.1)).collect(),
+        i_a: (0..80_000).map(|k| sample(k, |h| h.2)).collect(),
+        ..Capture::default()
+    }
+}
+
+/// At 12 kHz the resonance lifts the third harmonic above the fundamental.
+#[test]
+fn a_bridge_below_the_search_is_not_taken_for_one_at_its_harmonic() {
+    let taken = |s: &Survey| {
+        let order = |f: &Finding| match f {
+            Finding::HarmonicTaken { order, .. } => Some(*order),
+            _ => None,
+        };
+        s.findings.iter().find_map(order)
+    };
+    for f_sw_hz in [10e3, 12e3, 13e3] {
+        let c = bridge_at(f_sw_hz);
+        let got = survey(&c);
+        assert_eq!(taken(&got), Some(3), "{f_sw_hz}: {:?}", got.findings);
+        assert_eq!(got.worst(), Some(Severity::Error));
+        let hints = Hints {
+            f_sw_hz: Some(f_sw_hz),
+            ..Hints::default()
+        };
+        let right = Survey::from_capture(&c, &hints).unwrap();
+        assert!((right.spans[0].f_sw_hz - f_sw_hz).abs() < 5.0);
+        assert_eq!(taken(&right), None, "{:?}", right.findings);
+    }
+    assert_eq!(taken(&survey(&bridge_at(45e3))), None);
+}

@@ -100,6 +100,16 @@ pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> TrackedFundamenta
     let per_period = 1.0 / (f_hz * run.dt_s);
     let frame = (2.0 * per_period).round() as usize;
     let hop = (0.5 * per_period).round().max(1.0) as usize;
+    current(capture, run, f_hz, (frame, hop))
+}
+
+/// Phasors of the current at a frequency, with so many samples a frame and from frame to frame.
+pub fn current(
+    capture: &Capture,
+    run: &Run,
+    f_hz: f64,
+    (frame, hop): (usize, usize),
+) -> TrackedFundamental {
     let (t_s, mut i_a) = channel(&capture.i_a, run, f_hz, frame, hop, &[1]);
     TrackedFundamental {
         t_s,

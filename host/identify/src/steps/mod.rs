@@ -204,9 +204,12 @@ fn append(whole: &mut Estimate, piece: Estimate, from_s: f64, to_s: f64) {
 
 /// Remark on a step at a time on the capture's clock in seconds; `how` describes its treatment.
 fn remark(step: &Step, t_s: f64, how: &str) -> Remark {
-    let times = |(before, after): (f64, f64)| after / before;
+    let times = |(before, after): (f64, f64)| match after / before {
+        factor if factor > 0.0 => format!("{factor:.2}"),
+        factor => format!("{factor:.2} (implausible)"),
+    };
     let text = format!(
-        "the load steps at {:.3} ms: R to {:.2} and L to {:.2} times what they were; {how}",
+        "the load steps at {:.3} ms: R × {}, L × {}; {how}",
         t_s * 1e3,
         times(step.r_ohm),
         times(step.l_h)

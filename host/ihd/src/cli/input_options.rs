@@ -54,7 +54,7 @@ pub struct InputOptions {
     #[arg(long, value_name = "S", value_parser = quantity)]
     zero_crossing: Option<f64>,
     /// Value of the resonance capacitor in F (1080n): the gains are checked against it
-    #[arg(long, value_name = "F", value_parser = above_zero)]
+    #[arg(long, value_name = "F", value_parser = capacitance_f)]
     resonance_capacitance: Option<f64>,
 }
 
@@ -89,6 +89,10 @@ fn ratios(text: &str) -> Result<[f64; 2], String> {
 
 fn above_zero(text: &str) -> Result<f64, String> {
     within(text, StatedRange::AboveZero)
+}
+
+fn capacitance_f(text: &str) -> Result<f64, String> {
+    within(text, StatedRange::CapacitanceF)
 }
 
 fn switching_hz(text: &str) -> Result<f64, String> {

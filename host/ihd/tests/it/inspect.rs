@@ -77,16 +77,16 @@ fn a_capture_with_its_channels_exchanged_ends_with_7_and_the_remedy() {
     let wrong = ihd(dir, "inspect a.mcap --input swap --json");
     assert_eq!(wrong.status.code(), Some(7));
     let report = json(&wrong);
-    assert_eq!(report["findings"][0]["kind"], "swapped");
+    assert_eq!(report["findings"][0]["code"], "swapped");
     assert_eq!(report["findings"][0]["severity"], "error");
     assert!(
-        report["findings"][0]["message"]
+        report["findings"][0]["text"]
             .as_str()
             .unwrap()
             .contains("--input swap")
     );
     let inverted = json(&ihd(dir, "inspect a.mcap --input invert=i --json"));
-    assert_eq!(inverted["findings"][0]["kind"], "inverted");
+    assert_eq!(inverted["findings"][0]["code"], "inverted");
     let hint = ihd(dir, "inspect a.mcap --input fsw=70k");
     assert_eq!(hint.status.code(), Some(1));
     let stderr = String::from_utf8_lossy(&hint.stderr).into_owned();
@@ -183,7 +183,7 @@ fn samples_that_are_no_numbers_are_cut_out_with_a_warning() {
     for file in ["holes.csv", "holes.npz"] {
         let found = json(&ihd(dir, &format!("inspect {file} --json")));
         let findings = found["findings"].as_array().unwrap();
-        let cut = findings.iter().find(|f| f["kind"] == "not_finite");
+        let cut = findings.iter().find(|f| f["code"] == "not_finite");
         let cut = cut.unwrap_or_else(|| panic!("{file}: {found}"));
         assert_eq!(cut["severity"], "warning", "{file}");
         assert_eq!(cut["samples"], 2, "{file}");

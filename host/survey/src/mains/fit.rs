@@ -14,8 +14,8 @@ pub struct PieceEnvelope {
     pub level: Vec<f64>,
 }
 
-/// Lowest and highest frequency of the search, in hertz.
-const RANGE_HZ: (f64, f64) = (45.0, 65.0);
+/// Lowest and highest frequency of a mains, in hertz.
+pub(super) const RANGE_HZ: (f64, f64) = (45.0, 65.0);
 
 /// Nominal frequencies in hertz, between which a short capture can decide.
 pub(super) const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
@@ -55,8 +55,8 @@ pub(super) enum Search {
     Nominal,
     /// Those within [`PAUSED_REACH_HZ`] of a nominal one.
     NearNominal,
-    /// All of [`RANGE_HZ`].
-    Free,
+    /// All from one to another, in hertz.
+    Free(f64, f64),
 }
 
 impl Search {
@@ -64,7 +64,7 @@ impl Search {
         match self {
             Self::At(_, law) => law,
             Self::Nominal => Law::ThroughZero,
-            Self::NearNominal | Self::Free => Law::Held,
+            Self::NearNominal | Self::Free(..) => Law::Held,
         }
     }
 
@@ -74,10 +74,10 @@ impl Search {
             Self::At(hz, _) => vec![vec![hz]],
             Self::Nominal => vec![NOMINAL_HZ.to_vec()],
             Self::NearNominal => NOMINAL_HZ.map(|hz| vec![hz]).to_vec(),
-            Self::Free => {
-                let n = ((RANGE_HZ.1 - RANGE_HZ.0) * look_s * 8.0).ceil() as usize;
-                let step = (RANGE_HZ.1 - RANGE_HZ.0) / n as f64;
-                vec![(0..=n).map(|k| RANGE_HZ.0 + step * k as f64).collect()]
+            Self::Free(low_hz, high_hz) => {
+                let n = ((high_hz - low_hz) * look_s * 8.0).ceil().max(1.0) as usize;
+                let step = (high_hz - low_hz) / n as f64;
+                vec![(0..=n).map(|k| low_hz + step * k as f64).collect()]
             }
         }
     }
@@ -87,7 +87,7 @@ impl Search {
         match self {
             Self::At(..) | Self::Nominal => from_hz..=from_hz,
             Self::NearNominal => from_hz - PAUSED_REACH_HZ..=from_hz + PAUSED_REACH_HZ,
-            Self::Free => RANGE_HZ.0..=RANGE_HZ.1,
+            Self::Free(low_hz, high_hz) => low_hz..=high_hz,
         }
     }
 }

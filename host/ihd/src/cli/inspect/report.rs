@@ -5,7 +5,6 @@ use std::fmt::Write;
 use ihd_capture::lone::LoneChannel;
 use ihd_signal::{Capture, Remark};
 use ihd_survey::calibration::blind::{CalibratedCapture, Correction, SelfCalibration};
-use ihd_survey::mains::MainsSource;
 use ihd_survey::{ChannelSurvey, Finding, Severity, Survey};
 use serde::Serialize;
 
@@ -15,7 +14,7 @@ use crate::report::table::TextTable;
 #[derive(Serialize)]
 struct ReportedFinding<'a> {
     severity: Severity,
-    message: String,
+    text: String,
     #[serde(flatten)]
     finding: &'a Finding,
 }
@@ -46,7 +45,7 @@ pub fn json<'a>(
     }
     let reported = |finding| ReportedFinding {
         severity: Finding::severity(finding),
-        message: finding.to_string(),
+        text: finding.to_string(),
         finding,
     };
     Report {
@@ -186,19 +185,14 @@ fn channel(c: &ChannelSurvey, unit: &str, full_scale: Option<f64>) -> String {
 }
 
 fn mains(survey: &Survey) -> String {
-    let label = |source| match source {
-        MainsSource::Specified => "given",
-        MainsSource::Measured => "measured",
-        MainsSource::Assumed => "assumed",
-    };
     let m = &survey.mains;
     format!(
         "{:.2} Hz ({}), zero crossing at {:.3} ms ({}), {} whole half-cycles",
         m.hz,
-        label(m.hz_source),
+        m.hz_source,
         // Avoids a minus before a zero.
         m.zero_crossing_s * 1e3 + 0.0,
-        label(m.zero_crossing_source),
+        m.zero_crossing_source,
         survey.half_cycles_s.len()
     )
 }

@@ -1,12 +1,16 @@
 //! Remarks on a self-calibration.
 
 use std::f64::consts::TAU;
+use std::ops::RangeInclusive;
 
-use ihd_signal::{Remark, Severity};
+use ihd_signal::{Remark, Severity, WithSigma};
 
 use super::error::BlindError;
 use super::self_calibration::{SelfCalibration, SensorResponse};
 use super::straighten::Saturation;
+
+/// Series capacitances of hobs in nF, a factor of two beyond those in use.
+const HOBS_NF: RangeInclusive<f64> = 150.0..=5000.0;
 
 /// Error of R in percent from which an uncorrected lag is a warning.
 const COSTLY_PCT: f64 = 0.5;
@@ -59,11 +63,10 @@ impl SelfCalibration {
                     "sensor_nonlinear",
                     Severity::Warning,
                     format!(
-                        "the current's sensor is not linear: at {:.0} A its gain is off by {:.1} ± {:.1} %, and so are R and L; \
+                        "the current's sensor is not linear: at {:.0} A its gain is off by {} %, and so are R and L; \
                          take a probe of more range",
                         self.i_a,
-                        100.0 * bend.value,
-                        100.0 * bend.sigma
+                        WithSigma::new(100.0 * bend.value, 100.0 * bend.sigma)
                     ),
                 )
                 .with(100.0 * bend.value, Some(0.4)),
@@ -99,8 +102,8 @@ impl SelfCalibration {
             )
         });
         if !self.is_significant() {
-            let text =
-                format!("the sensors agree: the current is behind by {ns:.1} ± {sigma:.1} ns");
+            let lag = WithSigma::new(ns, sigma);
+            let text = format!("the sensors agree: the current's lag is {lag} ns");
             return Remark::new("sensors_agree", Severity::Info, text).with(ns, Some(3.0 * sigma));
         }
         let (code, what) = self.in_words();
@@ -146,59 +149,56 @@ impl SelfCalibration {
 
     /// Code of the response, and its description with numbers.
     fn in_words(&self) -> (&'static str, String) {
-        let (lag, sigma) = (self.lag_s.value * 1e9, self.lag_s.sigma * 1e9);
+        let of_lag = |ns: f64| WithSigma::new(ns, self.lag_s.sigma * 1e9);
+        let lag = of_lag(self.lag_s.value * 1e9);
         let band = |whose: &str, tau_s: f64| {
             let khz = 1e-3 / (TAU * tau_s);
-            format!(
-                "the {whose} has a bandwidth of {khz:.0} kHz only ({:.1} ± {sigma:.1} ns)",
-                tau_s * 1e9
-            )
+            let tau = of_lag(tau_s * 1e9);
+            format!("the {whose} has a bandwidth of {khz:.0} kHz only ({tau} ns)")
         };
         match self.response {
-            SensorResponse::Right | SensorResponse::Skew { .. } if lag > 0.0 => (
-                "skew",
-                format!("the current is behind by {lag:.1} ± {sigma:.1} ns"),
-            ),
-            SensorResponse::Right | SensorResponse::Skew { .. } => (
-                "skew",
-                format!("the current is sampled {:.1} ± {sigma:.1} ns late", -lag),
-            ),
+            SensorResponse::Right | SensorResponse::Skew { .. } => {
+                ("skew", format!("the current's lag is {lag} ns"))
+            }
             SensorResponse::SlowCurrent { tau_s } => ("bandwidth", band("current", tau_s)),
             SensorResponse::SlowVoltage { tau_s } => ("bandwidth", band("voltage", tau_s)),
             SensorResponse::Droop { corner_hz, .. } => (
                 "droop",
                 format!(
-                    "the current droops with a corner of {corner_hz:.0} Hz, and is {:.1} ± {sigma:.1} ns ahead in all",
-                    -lag
+                    "the current droops with a corner of {corner_hz:.0} Hz: its lag is {lag} ns in all"
                 ),
             ),
         }
     }
 
     fn gain_remark(&self) -> Remark {
-        let (nf, sigma) = (
-            self.capacitance_f.value * 1e9,
-            self.capacitance_f.sigma * 1e9,
-        );
+        let nf = self.capacitance_f.value * 1e9;
+        let shown = WithSigma::new(nf, self.capacitance_f.sigma * 1e9);
         let (Some(known_f), Some((off, limit))) = (self.known_capacitance_f, self.gain_off())
         else {
+            if self.is_sound() && !HOBS_NF.contains(&nf) {
+                let text = format!(
+                    "the series capacitor would be {shown} nF, and a hob has {} to {}: a probe's factor (--input probe) or a unit \
+                     (--input units) is wrong, and R and L with it, or give its value (--input resonance-capacitance)",
+                    HOBS_NF.start(),
+                    HOBS_NF.end()
+                );
+                return Remark::new("gain_unknown", Severity::Warning, text).with(nf, None);
+            }
             let text = format!(
-                "the series capacitor is {nf:.1} ± {sigma:.1} nF if both gains are right; which of the three is off cannot be told: \
+                "the series capacitor is {shown} nF if both gains are right; which of the three is off cannot be told: \
                  give its value (--input resonance-capacitance) to have the gains checked"
             );
             return Remark::new("gain_unknown", Severity::Info, text).with(nf, None);
         };
         if off.abs() <= limit {
-            let text = format!(
-                "the gains are right to {:.2} %: {nf:.1} ± {sigma:.1} nF",
-                100.0 * limit
-            );
+            let text = format!("the gains are right to {:.2} %: {shown} nF", 100.0 * limit);
             return Remark::new("gain_right", Severity::Info, text)
                 .with(100.0 * off, Some(100.0 * limit));
         }
         let text = format!(
             "the gain of the voltage over that of the current is off by {:+.2} %, and so are R and L: the series capacitor shows \
-             as {nf:.1} ± {sigma:.1} nF instead of {:.1} nF",
+             as {shown} nF instead of {:.1} nF",
             100.0 * off,
             known_f * 1e9
         );

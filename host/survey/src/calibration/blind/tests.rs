@@ -298,8 +298,28 @@ fn a_gain_shows_against_a_known_capacitor_alone() {
     let (name, severity, off) = code(Some(1080e-9));
     assert_eq!((name, severity), ("gain", Severity::Warning));
     assert!((off - 3.0).abs() < 0.3, "{off}");
-    assert_eq!(code(None).0, "gain_unknown");
+    let (name, severity, _) = code(None);
+    assert_eq!((name, severity), ("gain_unknown", Severity::Info));
     assert_eq!(code(Some(1080e-9 / 1.03)).0, "gain_right");
+}
+
+/// A probe's factor of 10 that nobody stated leaves L of 2 µH, which a hob may have; its capacitor of 10.8 µF is none.
+#[test]
+fn a_capacitor_that_no_hob_has_is_a_probes_factor() {
+    for (v, i) in [(0.1, 1.0), (10.0, 1.0), (1.0, 0.01)] {
+        let mut c = capture(&settings(scope(), 6));
+        (c.v_full_scale_v, c.i_full_scale_a) = (None, None);
+        c.v_v.iter_mut().for_each(|x| *x *= v);
+        c.i_a.iter_mut().for_each(|x| *x *= i);
+        let survey = Survey::from_capture(&c, &Hints::default()).unwrap();
+        let found = estimate(&c, &survey, None).unwrap();
+        let remark = found.remarks(false).pop().unwrap();
+        assert_eq!(
+            (remark.code, remark.severity),
+            ("gain_unknown", Severity::Warning),
+            "{v} {i}: {remark}"
+        );
+    }
 }
 
 #[test]
