@@ -121,7 +121,6 @@ impl Survey {
         let runs = time::runs(capture, &mut findings);
         let (pieces, tracks) = pieces::find(capture, hints, &runs, &mut findings)?;
         pieces::frequency_findings(capture, hints, &pieces, &mut findings);
-        findings.extend(subharmonic::find(capture, &pieces));
         let strongest = strongest(&tracks);
         let wiring = tracks
             .get(strongest)
@@ -131,6 +130,7 @@ impl Survey {
         let current = channel::survey(Channel::Current, capture, &pieces, &tracks, &mut findings);
         let alive = !findings.iter().any(|f| matches!(f, Finding::Dead { .. }));
         let (wiring, loads) = if alive {
+            findings.extend(subharmonic::find(capture, &pieces));
             wiring_findings(&tracks, strongest, wiring, hints, &mut findings);
             let load = |t: &Track| impedance::load_of_order(t, 0, wiring);
             (wiring, tracks.iter().map(load).collect())

@@ -55,11 +55,17 @@ fn a_mains_of_no_grid_is_a_wrong_time_base() {
     for hz in [
         22.9, 25.0, 30.0, 40.0, 45.0, 47.0, 54.64, 62.5, 83.0, 100.0, 120.0, 125.0,
     ] {
-        for (length_s, floor) in [(8e-3, 0.0), (0.02, 0.0), (0.1, 0.0), (0.1, 30.0)] {
+        for (length_s, t0_s, floor) in [
+            (8e-3, 1.234e-3, 0.0),
+            (8e-3, 0.0, 0.0),
+            (0.02, 1.234e-3, 0.0),
+            (0.1, 1.234e-3, 0.0),
+            (0.1, 1.234e-3, 30.0),
+        ] {
             if 2.0 * hz * length_s < 1.6 {
                 continue;
             }
-            let (shown, findings) = shown(envelope(hz, 1.234e-3, 0.0, length_s, floor));
+            let (shown, findings) = shown(envelope(hz, t0_s, 0.0, length_s, floor));
             let (shown_hz, severity) = shown.unwrap_or((0.0, Severity::Info));
             assert!(
                 (shown_hz / hz - 1.0).abs() < 0.02,

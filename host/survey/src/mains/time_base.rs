@@ -1,7 +1,7 @@
 //! Time bases that turn the mains into one that no grid has.
 
 use super::fit::{Fit, Law, NOMINAL_HZ, PieceEnvelope, RANGE_HZ, Search, fit};
-use super::{Coverage, FREE_HALF_CYCLES};
+use super::{Coverage, FREE_HALF_CYCLES, MAX_UNEXPLAINED_SHARE};
 
 /// Largest difference in hertz of a grid from 50 or 60.
 const GRID_HZ: f64 = 1.5;
@@ -28,7 +28,7 @@ pub(super) fn no_grids_hz(
 ) -> Option<f64> {
     let of_usual = usual.map_or(1.0, |fit| fit.unexplained);
     let most = MAX_UNEXPLAINED.min(FAR_BETTER * of_usual);
-    let far = (of_usual > MAX_UNEXPLAINED).then(|| far(envelopes, coverage));
+    let far = (of_usual > MAX_UNEXPLAINED_SHARE).then(|| far(envelopes, coverage));
     if let Some(far) = far.flatten().filter(|far| far.unexplained < most) {
         return Some(far.hz);
     }
