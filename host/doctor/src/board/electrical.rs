@@ -38,7 +38,7 @@ const VDDA_MV: (f64, f64) = (3_135.0, 3_465.0);
 const TEMPERATURE_C: (f64, f64) = (-20.0, 85.0);
 
 /// Examines clocks, measuring channels, comparators and temperatures.
-pub(super) fn examine(session: &mut CheckSession<'_>, scales: &FrontEnd, status: Option<&Status>) {
+pub(super) fn examine(session: &mut CheckSession<'_>, scales: &FrontEnd) {
     if let Some(found) = session.check_answer("clocks", Client::clocks) {
         session.add(clocks(&found));
     }
@@ -57,12 +57,9 @@ pub(super) fn examine(session: &mut CheckSession<'_>, scales: &FrontEnd, status:
     if let Some(found) = session.check_answer("comparators", Client::comparators) {
         session.add(comparators(&found));
     }
-    match status {
-        Some(status) => session.add(temperatures(status)),
-        None => session.add(Check::not_tested(
-            "temperatures",
-            "the device did not report it",
-        )),
+    // Asked now: right after its start the device has read no sensor.
+    if let Some(status) = session.check_answer("temperatures", Client::status) {
+        session.add(temperatures(&status));
     }
 }
 

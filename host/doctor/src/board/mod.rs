@@ -73,7 +73,7 @@ pub fn examine(client: &mut Client) -> BoardExamination {
         None => {}
     }
     let facts = start::examine(&mut session, &hello, status.as_ref());
-    electrical::examine(&mut session, &scales, status.as_ref());
+    electrical::examine(&mut session, &scales);
     link::examine(&mut session);
     let (checks, lost) = session.finish();
     let facts = facts.ok_or_else(|| {
