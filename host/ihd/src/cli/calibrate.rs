@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use ihd_gate::sensors::{MIN_RATE_HZ, is_of_sampling};
-use ihd_signal::Capture;
+use ihd_signal::{Capture, WithSigma};
 use ihd_survey::Survey;
 use ihd_survey::calibration::{Calibration, ReferenceLoad, blind, estimate};
 
@@ -150,19 +150,19 @@ impl CalibrateArgs {
 /// Describes the calibration.
 fn summary(calibration: &Calibration) -> String {
     format!(
-        "skew       {:.2} ± {:.2} ns (current later)\n{}\
+        "skew       {} ns (current later)\n{}\
          gain       voltage over current {}\n\
          offsets    {:.4} V, {:.5} A\n\
          assumed    {}\n",
-        calibration.skew_s * 1e9,
-        calibration.skew_sigma_s * 1e9,
+        WithSigma::new(calibration.skew_s * 1e9, calibration.skew_sigma_s * 1e9),
         match calibration.response.is_none() {
             true => String::new(),
             false => format!("response   {}\n", calibration.response),
         },
-        match calibration.gain_ratio_sigma {
-            0.0 => format!("{:.5}, assumed", calibration.gain_ratio),
-            sigma => format!("{:.5} ± {sigma:.5}", calibration.gain_ratio),
+        match calibration.gain_ratio_sigma > 0.0 {
+            true =>
+                WithSigma::new(calibration.gain_ratio, calibration.gain_ratio_sigma).to_string(),
+            false => format!("{} (assumed)", calibration.gain_ratio),
         },
         calibration.v_offset_v,
         calibration.i_offset_a,

@@ -32,16 +32,8 @@ pub const MOVED: &[Moved] = &[
     // Commands.
     moved(&[""], "study", "ihd-study (cargo run -p ihd-study)"),
     moved(&[""], "scenario", "ihd simulate FILE.toml"),
-    moved(
-        &[""],
-        "completions",
-        "cargo run --example pages -- DIR; a release's archive has them in completions/",
-    ),
-    moved(
-        &[""],
-        "man",
-        "cargo run --example pages -- DIR; a release's archive has them in man/",
-    ),
+    moved(&[""], "completions", "cargo run --example pages -- DIR"),
+    moved(&[""], "man", "cargo run --example pages -- DIR"),
     moved(&["trainer"], "serve", "ihd trainer --daemon"),
     moved(&["device"], "list", "ihd device status"),
     moved(&["device"], "sweep", "ihd device DEV power W,W,…"),

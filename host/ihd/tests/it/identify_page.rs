@@ -94,7 +94,7 @@ fn a_report_has_the_numbers_of_the_json() {
             let Some(k) = crest.filter(|k| off(k) < 0.1e-3) else {
                 continue;
             };
-            for (key, scale) in [("r_ohm", 1.0), ("l_h", 1e6), ("r_sigma", 1.0)] {
+            for (key, scale) in [("r_ohm", 1.0), ("l_h", 1e6), ("r_sigma_ohm", 1.0)] {
                 if let Some(x) = values(key).get(k).filter(|x| x.is_finite()) {
                     let cell = format!(">{:.4}</td>", x * scale);
                     assert!(row.contains(&cell), "{key} {cell} in {row}");

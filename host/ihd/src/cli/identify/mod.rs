@@ -3,6 +3,7 @@
 mod crest;
 mod page;
 mod parts;
+mod printed;
 mod report;
 mod results;
 
@@ -162,6 +163,10 @@ impl IdentifyArgs {
                  --features pinn"
             );
             settings.pinn.check().map_err(Usage::from_error)?;
+            ensure_usage!(
+                methods.contains(&Method::Pinn),
+                "--preset and --network are for the method pinn, which is not asked for: add --method pinn"
+            );
         } else if methods.contains(&Method::Pinn) {
             settings.pinn.check()?;
         }
@@ -200,6 +205,17 @@ impl IdentifyArgs {
             return Ok(());
         };
         let is_whole = parts.is_at_end()?;
+        if let Some(from_s) = self.from {
+            let last_s = first.truth.last().map(|t| t.t_s);
+            ensure_usage!(
+                last_s.is_some(),
+                "--from is for a capture with its truth, which this one has not"
+            );
+            ensure_usage!(
+                !is_whole || last_s >= Some(from_s),
+                "--from {from_s} s is after the capture's end"
+            );
+        }
         let mut results = ResultWriter::new(ResultOptions {
             capture: &self.capture,
             json,

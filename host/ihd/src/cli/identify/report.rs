@@ -10,11 +10,11 @@ use ihd_identify::accuracy::Accuracy;
 use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::atomic::Replacement;
-use ihd_signal::{Capture, Remark, Segment, Severity};
+use ihd_signal::{Capture, Remark, Severity, WithSigma};
 use ihd_survey::calibration::METADATA_KEY;
 use serde::Serialize;
 
-use super::crest::{crest, squared_current};
+use super::printed::{Printed, stretch, whole_half_cycles};
 use crate::report::table::TextTable;
 
 /// Results of a capture, with their errors if it has the truth.
@@ -34,11 +34,14 @@ pub struct ReportEntry<'a> {
     f_sw_hz: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
+    /// Numbers of the table.
+    #[serde(flatten)]
+    printed: Option<Printed>,
     t_s: &'a [f64],
     r_ohm: &'a [f64],
     l_h: &'a [f64],
-    r_sigma: &'a [f64],
-    l_sigma: &'a [f64],
+    r_sigma_ohm: &'a [f64],
+    l_sigma_h: &'a [f64],
     /// P/I_rms² in ohm.
     #[serde(skip_serializing_if = "<[f64]>::is_empty")]
     r_power_ohm: &'a [f64],
@@ -67,8 +70,8 @@ struct Pooled<'a> {
     i_a: &'a [f64],
     r_ohm: &'a [f64],
     l_h: &'a [f64],
-    r_sigma: &'a [f64],
-    l_sigma: &'a [f64],
+    r_sigma_ohm: &'a [f64],
+    l_sigma_h: &'a [f64],
     /// Squared residual over what noise leaves.
     chi2: f64,
 }
@@ -79,8 +82,8 @@ impl<'a> From<&'a PooledLaw> for Pooled<'a> {
             i_a: &law.i_a,
             r_ohm: &law.r_ohm,
             l_h: &law.l_h,
-            r_sigma: &law.r_sigma_ohm,
-            l_sigma: &law.l_sigma_h,
+            r_sigma_ohm: &law.r_sigma_ohm,
+            l_sigma_h: &law.l_sigma_h,
             chi2: law.chi2,
         }
     }
@@ -125,11 +128,12 @@ impl<'a> ReportedCapture<'a> {
             method: o.method,
             f_sw_hz: segment.map_or(0.0, |s| s.f_sw_hz),
             error: o.result.as_ref().err().map(ToString::to_string),
+            printed: segment.and_then(|s| Printed::of(s, o, &self.examined.survey.mains)),
             t_s: of(|e| &e.t_s),
             r_ohm: of(|e| &e.r_ohm),
             l_h: of(|e| &e.l_h),
-            r_sigma: of(|e| &e.r_sigma_ohm),
-            l_sigma: of(|e| &e.l_sigma_h),
+            r_sigma_ohm: of(|e| &e.r_sigma_ohm),
+            l_sigma_h: of(|e| &e.l_sigma_h),
             r_power_ohm: of(|e| &e.r_power_ohm),
             mre_r_pct: accuracy.map(|a| a.whole.r_pct),
             mre_l_pct: accuracy.map(|a| a.whole.l_pct),
@@ -152,19 +156,27 @@ impl<'a> ReportedCapture<'a> {
         } = self.examined;
         let mut out = String::new();
         for (index, segment) in segments.iter().enumerate() {
+            let outcomes = self.examined.outcomes.iter().zip(&self.accuracy);
+            let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
+            let first = outcomes.first().map(|(o, _)| *o);
+            let whole = first.map_or(0, |o| whole_half_cycles(o, &survey.mains).len());
             let _ = writeln!(
                 out,
-                "{}: {:.3} kHz, {:.2} to {:.2} ms, {:.3} MS/s, mains {:.2} Hz",
+                "{}: {:.3} kHz, {:.2} to {:.2} ms, {:.3} MS/s, mains {:.2} Hz ({}), means over {}",
                 survey.name,
                 segment.f_sw_hz * 1e-3,
                 segment.t0_s * 1e3,
                 segment.t_s(segment.len()) * 1e3,
                 1e-6 / segment.dt_s,
-                segment.mains_hz
+                segment.mains_hz,
+                survey.mains.hz_source,
+                match whole {
+                    0 => "all of it: no whole half-cycle".to_owned(),
+                    1 => "one half-cycle".to_owned(),
+                    n => format!("{n} half-cycles"),
+                }
             );
-            let outcomes = self.examined.outcomes.iter().zip(&self.accuracy);
-            let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
-            out.push_str(&stretch(segment, &outcomes));
+            out.push_str(&stretch(segment, &outcomes, &survey.mains));
             for (outcome, _) in outcomes {
                 findings_text(outcome, self.examined, in_parts, &mut out);
             }
@@ -315,58 +327,6 @@ impl CsvTable {
     }
 }
 
-fn stretch(segment: &Segment, outcomes: &[(&MethodResult, &Option<Accuracy>)]) -> String {
-    let truth = outcomes.iter().any(|(_, accuracy)| accuracy.is_some());
-    let mut heading = vec![
-        "method",
-        "R Ω, mean",
-        "crest",
-        "±",
-        "L µH, mean",
-        "crest",
-        "±",
-    ];
-    if truth {
-        heading.extend(["MRE R %", "MRE L %"]);
-    }
-    heading.extend(["NMSE v %", "NMSE i %", "ms"]);
-    let mut table = TextTable::new(&heading);
-    for (outcome, accuracy) in outcomes {
-        let Ok(estimate) = &outcome.result else {
-            continue;
-        };
-        let crest = crest(segment, estimate);
-        let of = |x: &[f64], scale: f64| {
-            let value = crest.and_then(|k| x.get(k));
-            value.map_or("–".into(), |x| format!("{:.3}", x * scale))
-        };
-        let weights = squared_current(segment, &estimate.t_s);
-        let mean = |x: &[f64], scale: f64| {
-            let sum: f64 = x.iter().zip(&weights).map(|(x, w)| x * w).sum();
-            format!("{:.3}", sum / weights.iter().sum::<f64>() * scale)
-        };
-        let pct = |x: Option<f64>| x.map_or("–".into(), |x| format!("{x:.3}"));
-        let mut row = vec![
-            outcome.method.name().to_owned(),
-            mean(&estimate.r_ohm, 1.0),
-            of(&estimate.r_ohm, 1.0),
-            of(&estimate.r_sigma_ohm, 1.0),
-            mean(&estimate.l_h, 1e6),
-            of(&estimate.l_h, 1e6),
-            of(&estimate.l_sigma_h, 1e6),
-        ];
-        if truth {
-            row.push(pct(accuracy.map(|a| a.whole.r_pct)));
-            row.push(pct(accuracy.map(|a| a.whole.l_pct)));
-        }
-        row.push(pct(estimate.nmse_v_pct));
-        row.push(pct(estimate.nmse_i_pct));
-        row.push(format!("{:.1}", estimate.elapsed.as_secs_f64() * 1e3));
-        table.row(row);
-    }
-    table.render()
-}
-
 /// Amplitudes in ampere at which the pooled law is printed.
 const PRINTED_A: [f64; 9] = [1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0];
 
@@ -380,13 +340,9 @@ pub fn pooled(law: &PooledLaw) -> String {
     let inside = PRINTED_A.iter().filter(|a| (least_a..most_a).contains(*a));
     for i_a in inside.chain([&most_a]) {
         let [r, l] = law.at(*i_a);
-        table.row(vec![
-            format!("{i_a:.1}"),
-            format!("{:.4}", r.0),
-            format!("{:.4}", r.1),
-            format!("{:.3}", l.0 * 1e6),
-            format!("{:.3}", l.1 * 1e6),
-        ]);
+        let [r, r_sigma] = WithSigma::new(r.0, r.1).texts();
+        let [l, l_sigma] = WithSigma::new(l.0 * 1e6, l.1 * 1e6).texts();
+        table.row(vec![format!("{i_a:.1}"), r, r_sigma, l, l_sigma]);
     }
     table.render()
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use ihd_gate::Examination;
+use ihd_gate::{Examination, Verdict};
 use ihd_identify::Estimate;
 use ihd_identify::pooled::{PoolPhasors, pool_phasors};
 use ihd_signal::truth::PeriodTruth;
@@ -17,13 +17,65 @@ use super::report::{self, CsvTable, ReportedCapture};
 use crate::report::identified;
 
 /// Error for results that do not pass the gate, after they were printed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{refused} of {of} results do not pass: R or L would be wrong, or cannot be judged")]
-pub struct RefusedResults {
-    /// Number of results that do not pass.
-    pub refused: usize,
-    /// Number of results.
-    pub of: usize,
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct RefusedResults(String);
+
+/// Numbers of a method's results by verdict.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Tally {
+    passed: usize,
+    refused: usize,
+    /// Too short to be judged.
+    open: usize,
+}
+
+impl Tally {
+    fn count(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Pass => self.passed += 1,
+            Verdict::Refuse => self.refused += 1,
+            Verdict::CannotTell => self.open += 1,
+        }
+    }
+
+    /// Number of results that may not be used; a stub beside a stretch that passes is none.
+    fn unfit(self) -> usize {
+        match self.passed {
+            0 => self.refused + self.open,
+            _ => self.refused,
+        }
+    }
+}
+
+/// Error that names the methods with results that may not be used, and the remedy; `None` if there are none.
+fn refusal(tallies: &BTreeMap<&'static str, Tally>) -> Option<(RefusedResults, &'static str)> {
+    let unfit: Vec<String> = (tallies.iter())
+        .filter(|(_, t)| t.unfit() > 0)
+        .map(|(method, t)| {
+            let verdict = if t.refused > 0 {
+                "refused"
+            } else {
+                "cannot be judged"
+            };
+            match t.passed + t.refused + t.open {
+                1 => format!("{method} {verdict}"),
+                all => format!("{method} {verdict} in {} of {all} stretches", t.unfit()),
+            }
+        })
+        .collect();
+    let others = tallies.len() - unfit.len();
+    let text = unfit.join(", ");
+    let passing = match others {
+        0 => String::new(),
+        1 => "; the other passes".to_owned(),
+        n => format!("; the other {n} pass"),
+    };
+    let remedy = match others {
+        0 => "mend the capture as advised, or go on with --anyway",
+        _ => "mend the capture as advised, leave those methods out, or go on with --anyway",
+    };
+    (!unfit.is_empty()).then(|| (RefusedResults(text + &passing), remedy))
 }
 
 /// Options of the output.
@@ -61,8 +113,7 @@ pub struct ResultWriter<'a> {
     calibration: String,
     /// Phasors of all parts; none of a capture of one part.
     phasors: Option<Vec<PoolPhasors>>,
-    successes: usize,
-    refused: usize,
+    tallies: BTreeMap<&'static str, Tally>,
 }
 
 impl<'a> ResultWriter<'a> {
@@ -79,8 +130,7 @@ impl<'a> ResultWriter<'a> {
             parts: 0,
             calibration: String::new(),
             phasors: options.in_parts.then(Vec::new),
-            successes: 0,
-            refused: 0,
+            tallies: BTreeMap::new(),
         }
     }
 
@@ -110,8 +160,8 @@ impl<'a> ResultWriter<'a> {
             phasors.append(&mut examined.phasors);
         }
         for outcome in examined.outcomes.iter().filter(|o| o.result.is_ok()) {
-            self.successes += 1;
-            self.refused += usize::from(!outcome.judgement.gate.passes());
+            let tally = self.tallies.entry(outcome.method.name()).or_default();
+            tally.count(outcome.judgement.gate.verdict);
         }
         if let Some(figure) = &mut self.figure {
             let found = examined.outcomes.drain(..).filter_map(|o| o.result.ok());
@@ -195,18 +245,14 @@ impl<'a> ResultWriter<'a> {
     /// # Errors
     /// If no method had a result, or if results are refused without `--anyway`.
     pub fn verdict(&self) -> Result<()> {
-        if self.successes == 0 {
+        if self.tallies.is_empty() {
             let capture = self.options.capture.path().display();
             bail!("no method could identify {capture}");
         }
-        if self.refused == 0 || self.options.anyway {
-            return Ok(());
+        match refusal(&self.tallies) {
+            Some((refused, remedy)) if !self.options.anyway => Err(refused).context(remedy),
+            _ => Ok(()),
         }
-        Err(RefusedResults {
-            refused: self.refused,
-            of: self.successes,
-        })
-        .context("mend the capture as advised, or go on with --anyway")
     }
 }
 
@@ -272,5 +318,30 @@ impl Figure {
         let estimates: Vec<_> = self.estimates.iter().collect();
         let drawn = identified::draw(&self.name, &self.segments, &estimates, &self.truth, path);
         Ok(drawn?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two samples that are no numbers, 0.7 ms after the beginning, leave a stub beside 19.3 ms.
+    #[test]
+    fn a_stub_beside_a_stretch_that_passes_is_no_refusal() {
+        let tallies = |of: &[(&'static str, Verdict)]| {
+            let mut tallies: BTreeMap<&'static str, Tally> = BTreeMap::new();
+            for (method, verdict) in of {
+                tallies.entry(method).or_default().count(*verdict);
+            }
+            refusal(&tallies).map(|(e, _)| e.to_string())
+        };
+        let (pass, open, refuse) = (Verdict::Pass, Verdict::CannotTell, Verdict::Refuse);
+        assert_eq!(tallies(&[("rts", open), ("rts", pass)]), None);
+        let said = |of: &[_]| tallies(of).unwrap_or_default();
+        assert_eq!(said(&[("rts", open)]), "rts cannot be judged");
+        assert_eq!(
+            said(&[("rts", open), ("rts", refuse), ("rts", pass), ("kf", pass)]),
+            "rts refused in 1 of 3 stretches; the other passes"
+        );
     }
 }

@@ -159,7 +159,8 @@ pub fn text(capture: &Capture, survey: &Survey, sensors: &[Remark]) -> String {
         };
         line(&word, remark.text.clone());
     }
-    if survey.findings.is_empty() {
+    let is_sound = sensors.iter().all(|r| r.severity == Severity::Info);
+    if survey.findings.is_empty() && is_sound {
         line("findings", "none".to_owned());
     }
     for finding in &survey.findings {

@@ -36,6 +36,15 @@ fn mean_power_w(truth: &[PeriodTruth]) -> f64 {
     energy_j / time_s
 }
 
+/// Mean power over mean square of the current. In one period the coil's energy may rise or fall by more than an empty coil's losses.
+fn r_power_ohm(periods: &[&PeriodTruth]) -> f64 {
+    let known = periods.iter().filter(|t| t.r_power_ohm != 0.0);
+    let (power, square) = known.fold((0.0, 0.0), |(power, square), t| {
+        (power + t.p_w, square + t.p_w / t.r_power_ohm)
+    });
+    power / square
+}
+
 /// Summary with operating point, truth, resonance interval and speed.
 pub fn summary(recording: &SimulatedRecording, took: Duration) -> Result<()> {
     let s = &recording.settings;
@@ -65,7 +74,9 @@ pub fn summary(recording: &SimulatedRecording, took: Duration) -> Result<()> {
         return Ok(());
     }
     let power_w = mean_power_w(&recording.truth);
-    say!("current    up to {peak_a:.2} A (fundamental), mean power {power_w:.1} W")?;
+    say!(
+        "current    up to {peak_a:.2} A (fundamental's amplitude, which may exceed the largest sample), mean power {power_w:.1} W"
+    )?;
     let (r, l) = (range(&loaded, |t| t.r_ohm[0]), range(&loaded, |t| t.l_h[0]));
     say!(
         "truth      R {:.3} to {:.3} ohm, L {:.2} to {:.2} µH at {SMALLEST_A} A and more",
@@ -82,9 +93,9 @@ pub fn summary(recording: &SimulatedRecording, took: Duration) -> Result<()> {
             .map(|(h, l)| format!("{h}: {:.2}", l * 1e6))
             .collect();
         say!(
-            "harmonics  L in µH at the largest current, {}; P/I² {:.3} ohm",
+            "harmonics  L in µH at the largest current, {}; P/I_rms² {:.3} ohm in the mean",
             list.join(", "),
-            peak.r_power_ohm
+            r_power_ohm(&loaded)
         )?;
     }
     let capacitance_f = f64::from(RESONANCE_CAPACITANCE_NF) * 1e-9;

@@ -50,7 +50,7 @@ pub struct WatchArgs {
     /// The device; without one, all that the daemon has
     #[arg(value_name = "DEV")]
     device: Option<String>,
-    /// Print a line for each event until ^C, for programs and logs; with --json an object a line. Without a daemon, too
+    /// Print a line for each event of DEV until ^C, for programs and logs; with --json an object a line. Without a daemon, too
     #[arg(long, requires = "device")]
     lines: bool,
 }

@@ -16,7 +16,7 @@ pub struct CapturedFacts {
     pairs: usize,
     span_s: Option<(f64, f64)>,
     rate_hz: f64,
-    mains_hz: f64,
+    mains: String,
     /// Lowest and highest switching frequency.
     f_sw_hz: Option<(f64, f64)>,
     channels: [Option<ChannelSurvey>; 2],
@@ -35,7 +35,7 @@ impl CapturedFacts {
             pairs: 0,
             span_s: None,
             rate_hz: 0.0,
-            mains_hz: 0.0,
+            mains: String::new(),
             f_sw_hz: None,
             channels: [None, None],
             full_scale: [None; 2],
@@ -55,7 +55,8 @@ impl CapturedFacts {
         self.pairs += survey.samples;
         let (from_s, to_s) = (survey.start_s, survey.start_s + survey.duration_s);
         self.span_s = Some((self.span_s.map_or(from_s, |s| s.0), to_s));
-        (self.rate_hz, self.mains_hz) = (survey.rate_hz, survey.mains.hz);
+        self.rate_hz = survey.rate_hz;
+        self.mains = format!("{:.2} Hz ({})", survey.mains.hz, survey.mains.hz_source);
         for segment in &examined.segments {
             let f = segment.f_sw_hz;
             let (low, high) = self.f_sw_hz.unwrap_or((f, f));
@@ -96,7 +97,7 @@ impl CapturedFacts {
                 format!("{:.3} to {:.3} ms", from_s * 1e3, to_s * 1e3),
             ),
             ("Switching frequency", f_sw),
-            ("Mains", format!("{:.2} Hz", self.mains_hz)),
+            ("Mains", self.mains.clone()),
         ];
         if !self.given.is_empty() {
             facts.push(("Read with --input", self.given.clone()));

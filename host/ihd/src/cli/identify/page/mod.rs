@@ -10,6 +10,7 @@ use ihd_gate::{HalfCycleVerdict, MethodResult, Verdict};
 use ihd_identify::Estimate;
 use ihd_identify::accuracy::Accuracy;
 use ihd_signal::Segment;
+use ihd_survey::mains::{Mains, MainsSource};
 
 use self::captured::CapturedFacts;
 use self::doubted::DoubtList;
@@ -72,7 +73,7 @@ impl ReportPage {
             let outcomes: Vec<_> = outcomes.filter(|(o, _)| o.segment == index).collect();
             let rows = outcomes
                 .iter()
-                .flat_map(|(o, _)| rows(segment, o, in_parts));
+                .flat_map(|(o, _)| rows(segment, o, &examined.survey.mains, in_parts));
             self.found += &table(&COLUMNS, &rows.collect::<Vec<_>>());
             for (outcome, accuracy) in outcomes {
                 self.found += &fit(outcome, *accuracy);
@@ -114,7 +115,7 @@ impl ReportPage {
 }
 
 /// Rows of a method's half-cycles; of a capture in parts without those of which a cut left nothing.
-fn rows(segment: &Segment, outcome: &MethodResult, in_parts: bool) -> Vec<TableRow> {
+fn rows(segment: &Segment, outcome: &MethodResult, mains: &Mains, in_parts: bool) -> Vec<TableRow> {
     let Ok(estimate) = &outcome.result else {
         let cells = vec![outcome.method.name().into()];
         return vec![TableRow {
@@ -125,7 +126,8 @@ fn rows(segment: &Segment, outcome: &MethodResult, in_parts: bool) -> Vec<TableR
     let weights = squared_current(segment, &estimate.t_s);
     let half_cycles = outcome.judgement.half_cycles.iter();
     let seen = half_cycles.filter(|h| !(in_parts && h.seen == 0.0));
-    seen.map(|half| row(segment, estimate, half, &weights))
+    let has_phase = mains.zero_crossing_source != MainsSource::Assumed;
+    seen.map(|half| row(segment, estimate, half, &weights, has_phase))
         .collect()
 }
 
@@ -134,8 +136,9 @@ fn row(
     estimate: &Estimate,
     half: &HalfCycleVerdict,
     weights: &[f64],
+    has_phase: bool,
 ) -> TableRow {
-    let crest = crest_of(segment, estimate, half.from_s);
+    let crest = crest_of(segment, estimate, half.from_s).filter(|_| has_phase);
     let at = |x: &[f64], scale: f64| {
         let value = crest.and_then(|k| x.get(k)).filter(|x| x.is_finite());
         value.map_or("–".into(), |x| format!("{:.4}", x * scale))
