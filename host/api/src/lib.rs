@@ -15,6 +15,7 @@ mod percent;
 mod problem;
 mod prometheus;
 mod routes;
+mod served;
 pub mod server;
 mod slots;
 pub mod tls;

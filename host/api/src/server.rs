@@ -13,7 +13,6 @@ use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinSet;
-use tokio_rustls::TlsAcceptor;
 
 use crate::access::guard::Access;
 use crate::access::hosts::AllowedHosts;
@@ -22,12 +21,16 @@ use crate::access::tokens::{TokenError, Tokens};
 use crate::connection;
 use crate::routes::health::HealthCache;
 use crate::routes::{self, App, Counts, MAX_SUBSCRIBERS};
+use crate::served::ServedTls;
 use crate::slots::ConnectionSlots;
 pub use crate::slots::MAX_CONNECTIONS;
-use crate::tls::{Certificate, ServerTls, TlsError};
+use crate::tls::{Certificate, TlsError};
 
 /// Pause after `accept` has failed, for example without a free file descriptor.
 const ACCEPT_RETRY: Duration = Duration::from_millis(200);
+
+/// Longest time until a renewed certificate is read; each connection reads it, too.
+const RENEWAL_PERIOD: Duration = Duration::from_secs(3_600);
 
 /// Configuration of a server.
 #[derive(Clone, Debug)]
@@ -102,7 +105,7 @@ pub enum ApiServerError {
 pub struct ApiServer {
     listener: TcpListener,
     address: SocketAddr,
-    tls: Option<ServerTls>,
+    tls: Option<ServedTls>,
     access: Access,
     backups: PathBuf,
     created_tokens: Option<PathBuf>,
@@ -171,9 +174,8 @@ impl ApiServer {
     }
 
     /// Returns SHA-256 fingerprint and file of its certificate; `None` without TLS.
-    pub fn certificate(&self) -> Option<(&str, &Path)> {
-        let tls = self.tls.as_ref()?;
-        Some((&tls.fingerprint, &tls.certificate))
+    pub fn certificate(&self) -> Option<(String, PathBuf)> {
+        self.tls.as_ref().map(ServedTls::identity)
     }
 
     /// Returns the token file if [`ApiServer::bind`] has created it.
@@ -187,7 +189,7 @@ impl ApiServer {
             daemon,
             health: HealthCache::default(),
             access: Arc::new(self.access),
-            tls: self.tls.is_some(),
+            tls: self.tls,
             backups: self.backups,
             stopping: stopping.clone(),
             subscribers: Arc::new(Semaphore::new(MAX_SUBSCRIBERS)),
@@ -195,12 +197,16 @@ impl ApiServer {
             slots: ConnectionSlots::default(),
         });
         let router = routes::router(app.clone());
-        let tls = self.tls.map(|tls| TlsAcceptor::from(tls.config));
         let mut connections = JoinSet::new();
+        let mut renewal = tokio::time::interval(RENEWAL_PERIOD);
         loop {
             let accepted = tokio::select! {
                 accepted = self.listener.accept() => accepted,
                 _ = stopping.wait_for(|stopping| *stopping) => break,
+                _ = renewal.tick() => {
+                    app.tls.as_ref().map(ServedTls::acceptor);
+                    continue;
+                }
             };
             while connections.try_join_next().is_some() {}
             let stream = match accepted {
@@ -213,8 +219,8 @@ impl ApiServer {
             };
             app.counts.connections.fetch_add(1, Ordering::Relaxed);
             let slot = app.slots.assign();
-            let (router, tls, stopping): (Router, _, _) =
-                (router.clone(), tls.clone(), stopping.clone());
+            let tls = app.tls.as_ref().map(ServedTls::acceptor);
+            let (router, stopping): (Router, _) = (router.clone(), stopping.clone());
             connections.spawn(connection::serve(stream, slot, tls, router, stopping));
             // The connection's first byte is read before another one can evict it.
             tokio::task::yield_now().await;
@@ -238,7 +244,7 @@ fn resolve(listen: &str) -> Result<SocketAddr, ApiServerError> {
 fn load_tls(
     options: &ServerOptions,
     address: SocketAddr,
-) -> Result<Option<ServerTls>, ApiServerError> {
+) -> Result<Option<ServedTls>, ApiServerError> {
     let Some(certificate) = &options.tls else {
         return Ok(None);
     };
@@ -246,7 +252,7 @@ fn load_tls(
     if !address.ip().is_unspecified() {
         names.push(address.ip().to_string());
     }
-    Ok(Some(certificate.load(&names)?))
+    Ok(Some(ServedTls::load(certificate.clone(), names)?))
 }
 
 #[cfg(test)]

@@ -4,11 +4,14 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
-use rustls::ServerConfig;
+use rustls::client::WebPkiServerVerifier;
+use rustls::client::danger::ServerCertVerifier;
 use rustls::crypto::ring::{cipher_suite, default_provider};
 use rustls::pki_types::pem::PemObject;
-use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
+use rustls::{CertificateError, RootCertStore, ServerConfig};
 use thiserror::Error;
 
 /// ALPN name of HTTP/2.
@@ -23,6 +26,8 @@ pub enum Certificate {
         certificate: PathBuf,
         /// Private key of the certificate.
         key: PathBuf,
+        /// Folder for the certificate in use.
+        folder: PathBuf,
     },
     /// Self-signed, generated once and stored as `certificate.pem` and `key.pem`.
     Generated {
@@ -72,34 +77,56 @@ pub enum TlsError {
     },
 }
 
+/// Time before the end of a certificate from which on the daemon and `ihd doctor` warn.
+pub const RENEWAL_TIME: Duration = Duration::from_secs(30 * 86_400);
+
 /// TLS configuration of a server.
 pub struct ServerTls {
     /// Configuration of the acceptor.
     pub config: Arc<ServerConfig>,
     /// SHA-256 fingerprint of the certificate, in hexadecimal with colons, for comparison by a client.
     pub fingerprint: String,
-    /// File of the certificate, for a client's `--ca`.
+    /// File of the certificate.
     pub certificate: PathBuf,
+    /// End of the certificate in seconds since 1970, UTC; `None` if it has none.
+    pub expires_s: Option<i64>,
+    /// Certificates as in the file.
+    pub(crate) pem: Vec<u8>,
 }
 
 impl Certificate {
+    /// Returns the files of certificate and key.
+    pub fn files(&self) -> (PathBuf, PathBuf) {
+        match self {
+            Self::Files {
+                certificate, key, ..
+            } => (certificate.clone(), key.clone()),
+            Self::Generated { folder } => (folder.join("certificate.pem"), folder.join("key.pem")),
+        }
+    }
+
+    /// Returns the file with the certificate that the running server uses. It differs from [`Certificate::files`] once those were renewed
+    /// and cannot be used.
+    pub fn in_use(&self) -> PathBuf {
+        let (Self::Files { folder, .. } | Self::Generated { folder }) = self;
+        folder.join("in-use.pem")
+    }
+
     /// Reads certificate and key; generates missing ones for `names` if the source is [`Certificate::Generated`].
     ///
     /// # Errors
     /// [`TlsError`].
     pub fn load(&self, names: &[String]) -> Result<ServerTls, TlsError> {
-        let (certificate, key) = match self {
-            Self::Files { certificate, key } => (certificate.clone(), key.clone()),
-            Self::Generated { folder } => {
-                let paths = (folder.join("certificate.pem"), folder.join("key.pem"));
-                if !paths.0.exists() || !paths.1.exists() {
-                    generate(folder, &paths.0, &paths.1, names)?;
-                }
-                paths
-            }
-        };
-        let chain = read_chain(&certificate)?;
+        let (certificate, key) = self.files();
+        if let Self::Generated { folder } = self
+            && (!certificate.exists() || !key.exists())
+        {
+            generate(folder, &certificate, &key, names)?;
+        }
+        let pem = read(&certificate)?;
+        let chain = parse_chain(&certificate, &pem)?;
         let fingerprint = chain.first().map(fingerprint).unwrap_or_default();
+        let expires_s = chain.first().and_then(expires_s);
         let secret = PrivateKeyDer::from_pem_slice(&read(&key)?).map_err(|e| TlsError::Pem {
             path: key.clone(),
             what: "private key",
@@ -121,6 +148,8 @@ impl Certificate {
             config: Arc::new(config),
             fingerprint,
             certificate,
+            expires_s,
+            pem,
         })
     }
 }
@@ -132,19 +161,47 @@ fn read(path: &Path) -> Result<Vec<u8>, TlsError> {
     })
 }
 
-fn read_chain(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+/// Returns the end of the first certificate of a file in seconds since 1970, UTC; `None` if it has none.
+///
+/// # Errors
+/// [`TlsError`] if the file cannot be read.
+pub fn file_expires_s(path: &Path) -> Result<Option<i64>, TlsError> {
+    Ok(parse_chain(path, &read(path)?)?.first().and_then(expires_s))
+}
+
+fn parse_chain(path: &Path, text: &[u8]) -> Result<Vec<CertificateDer<'static>>, TlsError> {
     let pem = |why| TlsError::Pem {
         path: path.into(),
         what: "certificate",
         why,
     };
-    let text = read(path)?;
-    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
+    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(text).collect();
     let chain = chain.map_err(|e| pem(e.to_string()))?;
     if chain.is_empty() {
         return Err(pem("there is none".into()));
     }
     Ok(chain)
+}
+
+/// Returns the end of a certificate: rustls tells it of one that has expired, which each has in the year 9999.
+fn expires_s(certificate: &CertificateDer<'static>) -> Option<i64> {
+    let last = UnixTime::since_unix_epoch(Duration::from_secs(253_402_300_799));
+    let mut roots = RootCertStore::empty();
+    roots.add(certificate.clone()).ok()?;
+    let provider = Arc::new(default_provider());
+    let verifier = WebPkiServerVerifier::builder_with_provider(Arc::new(roots), provider);
+    let name = ServerName::try_from("localhost").ok()?;
+    let verified = verifier
+        .build()
+        .ok()?
+        .verify_server_cert(certificate, &[], &name, &[], last);
+    match verified {
+        Err(rustls::Error::InvalidCertificate(CertificateError::ExpiredContext {
+            not_after,
+            ..
+        })) => i64::try_from(not_after.as_secs()).ok(),
+        _ => None,
+    }
 }
 
 /// Generates certificate and key. The key is written first, so that there is never a certificate without one.
@@ -168,12 +225,12 @@ fn generate(
         path: folder.into(),
         source,
     })?;
-    write_new(key, &generated.signing_key.serialize_pem())?;
-    write_new(certificate, &generated.cert.pem())
+    write_new(key, generated.signing_key.serialize_pem().as_bytes())?;
+    write_new(certificate, generated.cert.pem().as_bytes())
 }
 
 /// Writes a file for its owner only, under another name first, so that no incomplete file is ever visible.
-fn write_new(path: &Path, text: &str) -> Result<(), TlsError> {
+pub(crate) fn write_new(path: &Path, text: &[u8]) -> Result<(), TlsError> {
     let temporary = path.with_extension("new");
     let write = || {
         match fs::remove_file(&temporary) {
@@ -185,7 +242,7 @@ fn write_new(path: &Path, text: &str) -> Result<(), TlsError> {
         #[cfg(unix)]
         std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
         let mut file = options.open(&temporary)?;
-        file.write_all(text.as_bytes())?;
+        file.write_all(text)?;
         file.sync_all()?;
         fs::rename(&temporary, path)
     };
@@ -245,6 +302,7 @@ mod tests {
             let files = Certificate::Files {
                 certificate: path(certificate),
                 key: path(key),
+                folder: path("in-use"),
             };
             let error = files.load(&[]).err().unwrap().to_string();
             assert!(error.contains(word), "{error}");
@@ -256,7 +314,26 @@ mod tests {
         let mixed = Certificate::Files {
             certificate: path("a/certificate.pem"),
             key: path("b/key.pem"),
+            folder: path("in-use"),
         };
         assert!(matches!(mixed.load(&[]), Err(TlsError::Unusable { .. })));
+    }
+
+    #[test]
+    fn the_end_of_a_certificate_is_read_from_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.pem");
+        let key = rcgen::KeyPair::generate().unwrap();
+        for is_ca in [
+            rcgen::IsCa::NoCa,
+            rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained),
+        ] {
+            let mut params = rcgen::CertificateParams::new(vec!["hob.lan".into()]).unwrap();
+            params.is_ca = is_ca;
+            // 2001-09-09 is in the middle of a billion seconds' day.
+            params.not_after = rcgen::date_time_ymd(2001, 9, 9);
+            fs::write(&path, params.self_signed(&key).unwrap().pem()).unwrap();
+            assert_eq!(file_expires_s(&path).unwrap(), Some(1_000_000_000 - 6_400));
+        }
     }
 }

@@ -14,7 +14,8 @@ pub struct FleetReport {
     pub connected: bool,
     /// Reason why the server does not answer; empty if it does.
     pub why: String,
-    /// Time of the numbers, in milliseconds since 1970, UTC; 0 if the server has never answered.
+    /// Time at which the numbers of the whole fleet (`windows` to `edges`) were read, in milliseconds since 1970, UTC; 0 if they never were: the
+    /// server has never answered, or the edge's key may not read them.
     pub at_ms: i64,
     /// Number of windows and results in this edge's store that the fleet has not acknowledged yet.
     pub outbox: u64,

@@ -4,27 +4,30 @@ mod error;
 pub mod events;
 mod history;
 mod names;
+mod pinned;
 
 use std::io::Read;
-use std::path::Path;
-use std::sync::Arc;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ihd_model::{
     BackupMade, BackupRequest, Command, CommandReply, DeviceReport, FleetReport, HOLDER_HEADER,
     Health, Lease, LeaseRequest, Problem, RecordingFile, StoredLookup, StoredResult,
 };
-use rustls::crypto::ring;
+use rustls::pki_types::CertificateDer;
+use rustls::pki_types::pem::PemObject;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use ureq::http::Response;
-use ureq::tls::{Certificate, RootCerts, TlsConfig, parse_pem};
 use ureq::typestate::{WithBody, WithoutBody};
+use ureq::unversioned::resolver::DefaultResolver;
+use ureq::unversioned::transport::{Connector, TcpConnector};
 use ureq::{Agent, Body, RequestBuilder};
 
 pub use self::error::ClientError;
 use self::events::Events;
 use self::names::{device, encoded, printable_ascii};
+use self::pinned::PinnedConnector;
 
 /// Maximum response time; that of the daemon is shorter.
 const TIMEOUT: Duration = Duration::from_secs(25);
@@ -48,32 +51,33 @@ pub struct ApiClient {
 }
 
 impl ApiClient {
-    /// Creates a client for the daemon at `url` (`http://127.0.0.1:8731`) with the name `holder`. `ca` is the only certificate trusted with
-    /// `https`: that of the daemon or of its issuer. Nothing is sent yet.
+    /// Creates a client for the daemon at `url` (`http://127.0.0.1:8731`) with the name `holder`. With `https` it trusts the certificates in
+    /// `certificates` alone, by their bytes: whatever their dates and names. Nothing is sent yet.
     ///
     /// # Errors
-    /// [`ClientError::Certificate`] if `ca` cannot be read.
+    /// [`ClientError::Certificate`] if none of `certificates` can be read.
     pub fn new(
         url: &str,
         holder: &str,
         token: Option<String>,
-        ca: Option<&Path>,
+        certificates: &[PathBuf],
     ) -> Result<Self, ClientError> {
-        // Public certificate authorities are not trusted.
-        let roots = ca.map_or(Ok(Vec::new()), read_roots)?;
-        let tls = TlsConfig::builder()
-            .unversioned_rustls_crypto_provider(Arc::new(ring::default_provider()))
-            .root_certs(RootCerts::Specific(Arc::new(roots)));
-        let agent = Agent::config_builder()
-            .tls_config(tls.build())
+        let connector = PinnedConnector::new(read_certificates(certificates)?).map_err(|e| {
+            ClientError::Unreachable {
+                url: url.to_owned(),
+                why: e.to_string(),
+            }
+        })?;
+        let config = Agent::config_builder()
             // A proxy of the environment must not see the token.
             .proxy(None)
             .max_redirects(0)
             .http_status_as_error(false)
             .timeout_connect(Some(Duration::from_secs(5)))
             .timeout_global(Some(TIMEOUT))
-            .build()
-            .new_agent();
+            .build();
+        let connector = TcpConnector::default().chain(connector);
+        let agent = Agent::with_parts(config, connector, DefaultResolver::default());
         Ok(Self {
             agent,
             url: url.trim_end_matches('/').to_owned(),
@@ -346,20 +350,32 @@ fn read_text(response: Response<Body>) -> Result<String, String> {
     read.map(|_| text).map_err(|e| e.to_string())
 }
 
-fn read_roots(path: &Path) -> Result<Vec<Certificate<'static>>, ClientError> {
+/// Returns the certificates in the files; the error of the first file if none of them has any.
+fn read_certificates(paths: &[PathBuf]) -> Result<Vec<CertificateDer<'static>>, ClientError> {
+    let mut certificates = Vec::new();
+    let mut failure = None;
+    for path in paths {
+        match read_pem(path) {
+            Ok(read) => certificates.extend(read),
+            Err(error) => failure = failure.or(Some(error)),
+        }
+    }
+    match failure {
+        Some(error) if certificates.is_empty() => Err(error),
+        _ => Ok(certificates),
+    }
+}
+
+fn read_pem(path: &Path) -> Result<Vec<CertificateDer<'static>>, ClientError> {
     let error = |why: String| ClientError::Certificate {
         path: path.display().to_string(),
         why,
     };
     let pem = std::fs::read(path).map_err(|e| error(e.to_string()))?;
-    let mut roots = Vec::new();
-    for item in parse_pem(&pem) {
-        if let ureq::tls::PemItem::Certificate(root) = item.map_err(|e| error(e.to_string()))? {
-            roots.push(root);
-        }
+    let read: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&pem).collect();
+    let certificates = read.map_err(|e| error(e.to_string()))?;
+    match certificates.is_empty() {
+        true => Err(error("it holds no certificate in PEM".into())),
+        false => Ok(certificates),
     }
-    if roots.is_empty() {
-        return Err(error("it holds no certificate in PEM".into()));
-    }
-    Ok(roots)
 }

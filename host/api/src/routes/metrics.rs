@@ -12,6 +12,10 @@ use ihd_model::{DeviceReport, DeviceState, FleetReport, Problem, StoreFailure};
 
 use super::App;
 use crate::prometheus::Exposition;
+use crate::served::ServedTls;
+
+/// Age in milliseconds from which on numbers of the fleet, read every 10 s, are not present ones.
+const MAX_FLEET_AGE_MS: i64 = 60_000;
 
 /// Returns metrics in the text format of Prometheus.
 #[utoipa::path(get, path = "/metrics", tag = "daemon",
@@ -23,7 +27,7 @@ pub(super) async fn metrics(State(app): State<Arc<App>>) -> impl IntoResponse {
     daemon(&mut text, &figures);
     learner(&mut text, &figures.learner);
     if let Some(report) = app.daemon.fleet().report() {
-        fleet(&mut text, &report);
+        fleet(&mut text, &report, app.daemon.view().now_ms());
     }
     if let Some(bytes) = figures.rss_bytes {
         let help = "Resident memory of the daemon";
@@ -139,41 +143,45 @@ fn learner(text: &mut Exposition, f: &LearnerFigures) {
     }
 }
 
-/// Writes the metrics of the fleet from the last report; that is current if `fleet_connected` is 1.
-fn fleet(text: &mut Exposition, fleet: &FleetReport) {
+/// Writes the metrics of the fleet from the last report; numbers of the whole fleet only if they were read of late.
+fn fleet(text: &mut Exposition, fleet: &FleetReport, now_ms: i64) {
+    let is_read = fleet.at_ms > 0 && now_ms - fleet.at_ms <= MAX_FLEET_AGE_MS;
+    let of_fleet = |number: f64| is_read.then_some(number);
     for (name, help, value) in [
         (
             "fleet_connected",
-            "1 while the fleet's server responds; else the other fleet metrics are old",
-            f64::from(u8::from(fleet.connected)),
+            "1 while the fleet's server responds",
+            Some(f64::from(u8::from(fleet.connected))),
         ),
         (
             "fleet_outbox",
             "Windows and results of this edge that the fleet has not acknowledged",
-            fleet.outbox as f64,
+            Some(fleet.outbox as f64),
         ),
         (
             "fleet_backlog",
             "Windows in the fleet that no worker has identified yet",
-            fleet.backlog as f64,
+            of_fleet(fleet.backlog as f64),
         ),
         (
             "fleet_dead",
             "Windows in the fleet that were given up",
-            fleet.dead as f64,
+            of_fleet(fleet.dead as f64),
         ),
         (
             "fleet_workers",
             "Workers of the fleet",
-            fleet.workers.len() as f64,
+            of_fleet(fleet.workers.len() as f64),
         ),
         (
             "fleet_alarms",
             "Alarms of this edge: windows that stay in a state for too long, a name used by another store, a worker with refuted results",
-            fleet.alarms.len() as f64,
+            Some(fleet.alarms.len() as f64),
         ),
     ] {
-        text.gauge(name, help, value);
+        if let Some(value) = value {
+            text.gauge(name, help, value);
+        }
     }
     text.gauges(
         "fleet_windows",
@@ -191,6 +199,10 @@ fn fleet(text: &mut Exposition, fleet: &FleetReport) {
 
 /// Writes the metrics of the server.
 fn server(text: &mut Exposition, app: &App) {
+    if let Some(end_s) = app.tls.as_ref().and_then(ServedTls::expires_s) {
+        let help = "End of the TLS certificate in use, in seconds since 1970";
+        text.gauge("tls_certificate_expires_seconds", help, end_s as f64);
+    }
     let counts = &app.counts;
     for (name, help, count) in [
         (

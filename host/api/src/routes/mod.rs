@@ -34,6 +34,7 @@ use utoipa_axum::routes;
 use crate::access::guard::{self, Access};
 use crate::problem::refusal;
 use crate::routes::health::HealthCache;
+use crate::served::ServedTls;
 use crate::slots::ConnectionSlots;
 
 /// Maximum size of a request body, in bytes; a lookup as JSON has 3 kB.
@@ -47,8 +48,8 @@ pub(crate) struct App {
     pub(crate) daemon: Daemon,
     pub(crate) health: HealthCache,
     pub(crate) access: Arc<Access>,
-    /// `true` if the server uses TLS.
-    pub(crate) tls: bool,
+    /// Certificate; `None` without TLS.
+    pub(crate) tls: Option<ServedTls>,
     /// Folder for backups.
     pub(crate) backups: PathBuf,
     /// `true` once the server ends.

@@ -56,7 +56,7 @@ pub(super) async fn open(
         )
     })?;
     close_sessions(&app, &headers);
-    Ok(with_cookie(&cookie::set_header(&key, app.tls)))
+    Ok(with_cookie(&cookie::set_header(&key, app.tls.is_some())))
 }
 
 /// Closes the sessions of a request.
@@ -70,7 +70,7 @@ fn close_sessions(app: &App, headers: &HeaderMap) {
 #[utoipa::path(delete, path = "/session", tag = "session", responses((status = 204)))]
 pub(super) async fn close(State(app): State<Arc<App>>, headers: HeaderMap) -> Response {
     close_sessions(&app, &headers);
-    with_cookie(&cookie::delete_header(app.tls))
+    with_cookie(&cookie::delete_header(app.tls.is_some()))
 }
 
 fn with_cookie(text: &str) -> Response {

@@ -1,5 +1,6 @@
 //! The client against the server: every route, every error, TLS.
 
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ihd_api::ApiClient;
@@ -14,7 +15,7 @@ use crate::http::PATIENCE;
 use crate::rig::{NAME, OTHER, Running};
 
 fn client(server: &Running, holder: &str) -> ApiClient {
-    ApiClient::new(&server.url, holder, None, None).unwrap()
+    ApiClient::new(&server.url, holder, None, &[]).unwrap()
 }
 
 #[test]
@@ -133,7 +134,7 @@ fn errors_of_the_daemon_arrive_as_such() {
 fn nobody_and_somebody_else_are_told_apart() {
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = port.local_addr().unwrap();
-    let client = ApiClient::new(&format!("http://{address}"), "me", None, None).unwrap();
+    let client = ApiClient::new(&format!("http://{address}"), "me", None, &[]).unwrap();
     // A server that accepts the connection and sends nothing.
     let silent = client.health(Duration::from_millis(300)).unwrap_err();
     assert!(
@@ -175,7 +176,7 @@ fn over_tls_with_its_certificate_and_a_token_and_not_without() {
     assert!(server.url.starts_with("https://"), "{}", server.url);
     let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
     let token = |role| tokens.at_least(role).map(str::to_owned);
-    let ca = server.certificate.as_deref();
+    let ca = server.certificate.as_slice();
     let ada = ApiClient::new(&server.url, "Ada", token(Role::Operate), ca).unwrap();
     assert_eq!(ada.devices().unwrap().len(), 2);
     ada.command(NAME, &Command::Off).unwrap();
@@ -192,7 +193,7 @@ fn over_tls_with_its_certificate_and_a_token_and_not_without() {
         other => panic!("{other}"),
     }
     // Without `ca` the certificate is not trusted.
-    let stranger = ApiClient::new(&server.url, "Eve", token(Role::Read), None).unwrap();
+    let stranger = ApiClient::new(&server.url, "Eve", token(Role::Read), &[]).unwrap();
     let refused = stranger.devices().unwrap_err();
     assert!(
         matches!(refused, ClientError::Unreachable { .. }),
@@ -200,6 +201,47 @@ fn over_tls_with_its_certificate_and_a_token_and_not_without() {
     );
     // Plain HTTP to a TLS port gets no response.
     let plain = server.url.replace("https", "http");
-    let plain = ApiClient::new(&plain, "Eve", None, None).unwrap();
+    let plain = ApiClient::new(&plain, "Eve", None, &[]).unwrap();
     assert!(plain.devices().is_err());
+}
+
+/// Writes a self-signed certificate for a name that no test connects to, and its key, to `certificate.pem` and `key.pem`.
+fn write_certificate(folder: &Path, until_year: i32) {
+    let key = rcgen::KeyPair::generate().unwrap();
+    let mut params = rcgen::CertificateParams::new(vec!["hob.lan".into()]).unwrap();
+    params.not_after = rcgen::date_time_ymd(until_year, 1, 1);
+    let certificate = params.self_signed(&key).unwrap().pem();
+    std::fs::write(folder.join("key.pem"), key.serialize_pem()).unwrap();
+    std::fs::write(folder.join("certificate.pem"), certificate).unwrap();
+}
+
+#[test]
+fn off_reaches_a_hob_whatever_date_and_name_the_certificate_has_and_after_its_renewal() {
+    let mut source = None;
+    let server = Running::with_hobs(|options, dir| {
+        write_certificate(dir, 2001);
+        options.tls = Some(Certificate::Files {
+            certificate: dir.join("certificate.pem"),
+            key: dir.join("key.pem"),
+            folder: dir.join("tls"),
+        });
+        source.clone_from(&options.tls);
+    });
+    let (source, dir) = (source.unwrap(), server.dir.path());
+    let trusted = [source.files().0, source.in_use()];
+    let off = |trusted: &[PathBuf]| {
+        let client = ApiClient::new(&server.url, "Ada", None, trusted).unwrap();
+        client.command(NAME, &Command::Off).map(drop)
+    };
+    off(&trusted[..1]).expect("expired, and for another name");
+    // Renewed: the next connection gets the new one.
+    write_certificate(dir, 2200);
+    off(&trusted[..1]).expect("renewed");
+    // Renewed without the key: the one before stays in use, and its file tells which.
+    let key = std::fs::read(dir.join("key.pem")).unwrap();
+    write_certificate(dir, 2100);
+    std::fs::write(dir.join("key.pem"), key).unwrap();
+    off(&trusted).expect("half renewed");
+    let refused = off(&trusted[..1]).unwrap_err().to_string();
+    assert!(refused.contains("UnknownIssuer"), "{refused}");
 }

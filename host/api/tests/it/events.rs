@@ -10,7 +10,7 @@ use crate::http::connect;
 use crate::rig::{NAME, OTHER, Running};
 
 fn client(server: &Running) -> ApiClient {
-    ApiClient::new(&server.url, "test", None, None).unwrap()
+    ApiClient::new(&server.url, "test", None, &[]).unwrap()
 }
 
 /// Returns the next item that is not a heartbeat.

@@ -78,7 +78,7 @@ fn edge(server: &Running) {
 fn an_edge_tells_all_that_it_knows() {
     let server = Running::start();
     edge(&server);
-    let client = ApiClient::new(&server.url, "me", None, None).unwrap();
+    let client = ApiClient::new(&server.url, "me", None, &[]).unwrap();
     assert_eq!(client.fleet().unwrap(), report());
     let (_, session) = ask(server.address, SESSION, &[], "");
     assert!(session.contains("\"fleet\":true"), "{session}");
@@ -87,7 +87,7 @@ fn an_edge_tells_all_that_it_knows() {
 #[test]
 fn a_daemon_without_a_fleet_says_how_it_would_have_one() {
     let server = Running::start();
-    let client = ApiClient::new(&server.url, "me", None, None).unwrap();
+    let client = ApiClient::new(&server.url, "me", None, &[]).unwrap();
     match client.fleet().unwrap_err() {
         ClientError::Refused {
             status, problem, ..
@@ -134,8 +134,25 @@ fn a_daemon_tells_what_it_was_told_last_and_counts_it() {
     let server = Running::start();
     assert_eq!(figures_of_a_fleet(&server), []);
     edge(&server);
+    let names = |server: &Running| {
+        let figures = figures_of_a_fleet(server);
+        figures
+            .into_iter()
+            .map(|(name, _)| name)
+            .collect::<Vec<_>>()
+    };
+    // Of a fleet that was never read, or long ago, its own numbers are unknown.
+    for at_ms in [0, server.now_ms() - 60_001] {
+        server.daemon.fleet().set_report(FleetReport {
+            connected: true,
+            at_ms,
+            ..report()
+        });
+        assert_eq!(names(&server)[..3], ["connected", "outbox", "alarms"]);
+    }
     server.daemon.fleet().set_report(FleetReport {
         connected: true,
+        at_ms: server.now_ms(),
         outbox: 2,
         backlog: 3,
         dead: 4,

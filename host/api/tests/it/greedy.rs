@@ -130,7 +130,7 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
         });
         let tokens = Tokens::read(&server.dir.path().join("tokens")).unwrap();
         let token = tokens.at_least(Role::Operate).map(str::to_owned);
-        let ca = server.certificate.as_deref();
+        let ca = server.certificate.as_slice();
         let client = |name| ApiClient::new(&server.url, name, token.clone(), ca).unwrap();
         // Connected before the others.
         let known = client("Ada");
@@ -167,7 +167,7 @@ fn a_thousand_strangers_keep_nobody_out_who_has_a_token() {
 #[test]
 fn on_plain_loopback_a_thousand_that_idle_keep_nobody_out() {
     let (server, _clock) = Running::with_hobs_and_clock(|_, _| {});
-    let ada = ApiClient::new(&server.url, "Ada", None, None).unwrap();
+    let ada = ApiClient::new(&server.url, "Ada", None, &[]).unwrap();
     let mut watched = watch(&ada);
     let mut held = VecDeque::new();
     for k in 0..HOSTILE {

@@ -52,7 +52,7 @@ fn get(server: &Running, path: &str) -> (String, Vec<u8>) {
 fn a_recording_is_listed_and_downloaded_as_it_is() {
     let server = Running::start();
     let path = recorded(&server, 1_000);
-    let client = ApiClient::new(&server.url, "Ada", None, None).unwrap();
+    let client = ApiClient::new(&server.url, "Ada", None, &[]).unwrap();
     let all = client.recordings().unwrap();
     let bytes = fs::read(&path).unwrap();
     assert_eq!(

@@ -177,7 +177,7 @@ impl Running {
         });
         let (stop, stopping) = watch::channel(false);
         let (address, url) = (server.address(), server.url());
-        let certificate = server.certificate().map(|(_, path)| path.into());
+        let certificate = server.certificate().map(|(_, path)| path);
         let events = daemon.watch();
         let served = runtime.spawn(server.run(daemon.clone(), stopping));
         Self {

@@ -50,6 +50,7 @@ pub fn server_settings(config: &DaemonConfig) -> ServerOptions {
             (Some(certificate), Some(key)) => Certificate::Files {
                 certificate: certificate.clone(),
                 key: key.clone(),
+                folder: tls_folder(config),
             },
             _ => Certificate::Generated {
                 folder: tls_folder(config),
@@ -78,12 +79,10 @@ pub fn daemon(config: &DaemonConfig) -> Result<Option<ApiClient>> {
     } else {
         "http"
     };
-    let ca = config.tls.as_ref().map(|tls| match &tls.certificate {
-        Some(path) => path.clone(),
-        None => tls_folder(config).join("certificate.pem"),
-    });
+    let tls = server_settings(config).tls;
+    let trusted = tls.map_or(Vec::new(), |tls| vec![tls.files().0, tls.in_use()]);
     let url = format!("{scheme}://{reached}");
-    let client = ApiClient::new(&url, &holder(), token(config)?, ca.as_deref())?;
+    let client = ApiClient::new(&url, &holder(), token(config)?, &trusted)?;
     match client.health(ANSWERS_WITHIN) {
         Ok(_) => Ok(Some(client)),
         Err(error @ ClientError::UnexpectedResponse { .. }) => {

@@ -1,5 +1,7 @@
 //! `ihd doctor`: diagnosis of a board and of the machine it is connected to.
 
+#[cfg(feature = "daemon")]
+mod certificate;
 mod device;
 #[cfg(feature = "daemon")]
 mod store;
@@ -113,7 +115,10 @@ impl DoctorArgs {
         #[cfg_attr(not(feature = "daemon"), expect(unused_mut))]
         let mut checks = machine::checks(&system);
         #[cfg(feature = "daemon")]
-        checks.push(store::check(global.config.as_deref()));
+        {
+            checks.push(store::check(global.config.as_deref()));
+            checks.extend(certificate::check(global.config.as_deref()));
+        }
         report.add(CheckGroup {
             name: "machine",
             checks,

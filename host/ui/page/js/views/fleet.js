@@ -169,7 +169,8 @@ class FleetView {
     this.content.hidden = false;
     for (const [key] of TILES) {
       const value = key === "workers" ? report.workers.length : report[key];
-      setText(this.tiles[key], fixed(value));
+      // 0: the fleet was never read; the outbox is this edge's own.
+      setText(this.tiles[key], report.at_ms > 0 || key === "outbox" ? fixed(value) : "–");
       setAttribute(this.tiles[key], "data-value", String(value));
       setAttribute(this.tiles[key], "class", key === "dead" && value > 0 ? "bad" : null);
     }
