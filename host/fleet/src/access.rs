@@ -1,16 +1,18 @@
 //! Connection to the server: addresses, credentials, version check.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use async_nats::jetstream::{self, Context};
 use async_nats::{Client, ConnectOptions, Event, ServerAddr};
-use ihd_daemon::fleet::FleetConfig;
+use ihd_daemon::fleet::{FleetConfig, is_encrypted, without_secrets};
 
-use crate::server_config::{KeyError, UserKey};
+use crate::server_config::{KeyError, UserKey, refuse_if_open_to_others};
 
 /// Time-out of a connection and of a request.
-const TIMEOUT: Duration = Duration::from_secs(5);
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Oldest supported server: it has several filters of a consumer, and streams that refuse a second message of a subject.
 const MIN_SERVER_VERSION: (u64, u64, u64) = (2, 10, 23);
@@ -49,10 +51,20 @@ impl From<&FleetConfig> for Access {
 #[derive(Debug, thiserror::Error)]
 pub enum AccessError {
     /// Invalid address.
-    #[error("{url:?} is no address of a NATS server: nats://HOST:PORT or tls://HOST:PORT")]
+    #[error(
+        "{url:?} is no address of a NATS server: nats://HOST:PORT or tls://HOST:PORT; `,` and `@` of a password are %2C and %40"
+    )]
     Address {
-        /// The given address.
+        /// The given address, without secrets.
         url: String,
+    },
+    /// Authority of a certificate, and an address without encryption.
+    #[error("{url}: only tls:// is encrypted, and {} names whose certificate the server has; write tls://", ca.display())]
+    Unencrypted {
+        /// The given address, without secrets.
+        url: String,
+        /// The authority's file.
+        ca: PathBuf,
     },
     /// Unreadable file of credentials.
     #[error("cannot read {}: {source}", path.display())]
@@ -85,18 +97,28 @@ pub enum AccessError {
     },
 }
 
+impl AccessError {
+    /// Returns `true` if nobody listens at the address.
+    pub fn is_refused_connection(&self) -> bool {
+        let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(self);
+        while let Some(error) = cause {
+            let error_kind = error.downcast_ref::<std::io::Error>().map(|e| e.kind());
+            if error_kind == Some(std::io::ErrorKind::ConnectionRefused) {
+                return true;
+            }
+            cause = error.source();
+        }
+        false
+    }
+}
+
 /// Callback for events of the connection.
 pub type OnEvent = dyn Fn(Event) + Send + Sync;
 
 impl Access {
     /// Returns the addresses without user, password and token.
     pub fn shown(&self) -> String {
-        let shown = |url: &str| match (url.split_once("://"), url.rsplit_once('@')) {
-            (Some((scheme, _)), Some((_, host))) => format!("{scheme}://{host}"),
-            _ => url.to_owned(),
-        };
-        let urls = self.url.split(',').map(|url| shown(url.trim()));
-        urls.collect::<Vec<_>>().join(",")
+        without_secrets(&self.url)
     }
 
     fn addresses(&self) -> Result<Vec<ServerAddr>, AccessError> {
@@ -109,6 +131,14 @@ impl Access {
     }
 
     fn options(&self, name: &str) -> Result<ConnectOptions, AccessError> {
+        if let Some(ca) = &self.ca
+            && !is_encrypted(&self.url)
+        {
+            return Err(AccessError::Unencrypted {
+                url: self.shown(),
+                ca: ca.clone(),
+            });
+        }
         let mut options = ConnectOptions::new()
             .name(name)
             .connection_timeout(TIMEOUT)
@@ -120,7 +150,7 @@ impl Access {
             options = options.nkey(UserKey::read(path)?.seed().to_owned());
         }
         if let Some(path) = &self.token_file {
-            options = options.token(read(path)?.trim().to_owned());
+            options = options.token(read_secret(path)?.trim().to_owned());
         }
         if let Some(path) = &self.ca {
             // Read here: the client would only report that the connection failed.
@@ -201,6 +231,19 @@ fn is_at_least(version: &str, oldest: (u64, u64, u64)) -> bool {
     (next(), next(), next()) >= oldest
 }
 
+/// Reads a file that its owner alone may read.
+fn read_secret(path: &Path) -> Result<String, AccessError> {
+    let failed = |source| AccessError::File {
+        path: path.to_owned(),
+        source,
+    };
+    let mut file = File::open(path).map_err(failed)?;
+    refuse_if_open_to_others(&file, path)?;
+    let mut text = String::new();
+    file.read_to_string(&mut text).map_err(failed)?;
+    Ok(text)
+}
+
 fn read(path: &Path) -> Result<String, AccessError> {
     std::fs::read_to_string(path).map_err(|source| AccessError::File {
         path: path.to_owned(),
@@ -221,6 +264,51 @@ mod tests {
         let shown = access("nats://me:pass@h:4222, tls://token@i:4222").shown();
         assert_eq!(shown, "nats://h:4222,tls://i:4222");
         assert_eq!(access("nats://h").shown(), "nats://h");
+        for url in ["nats://me:se,cret@h", "user:geheim@h:4x"] {
+            let error = access(url).addresses().unwrap_err().to_string();
+            assert!(
+                !error.contains("cret") && !error.contains("geheim"),
+                "{error}"
+            );
+        }
+    }
+
+    #[tokio::test]
+    async fn an_authority_needs_encryption_and_a_token_its_owner() {
+        let folder = tempfile::tempdir().unwrap();
+        let token = folder.path().join("token");
+        std::fs::write(&token, "geheim").unwrap();
+        let access = Access {
+            url: "nats://127.0.0.1:9".into(),
+            ca: Some("ca.pem".into()),
+            ..Access::default()
+        };
+        let why = access.connect("me").await.unwrap_err();
+        assert!(!why.is_refused_connection());
+        let why = why.to_string();
+        assert!(why.contains("tls://") && why.contains("ca.pem"), "{why}");
+        // A port that was free a moment ago.
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("nats://{}", port.local_addr().unwrap());
+        drop(port);
+        let nobody = Access {
+            url,
+            ..Access::default()
+        };
+        let why = nobody.connect("me").await.unwrap_err();
+        assert!(why.is_refused_connection(), "{why}");
+        #[cfg(unix)]
+        {
+            let open = std::os::unix::fs::PermissionsExt::from_mode(0o666);
+            std::fs::set_permissions(&token, open).unwrap();
+            let access = Access {
+                url: "nats://127.0.0.1:9".into(),
+                token_file: Some(token),
+                ..Access::default()
+            };
+            let why = access.connect("me").await.unwrap_err().to_string();
+            assert!(why.contains("mode 666") && !why.contains("geheim"), "{why}");
+        }
     }
 
     #[test]

@@ -35,10 +35,16 @@ impl FleetConfig {
         for url in self.url.split(',') {
             if !schemes.iter().any(|scheme| url.trim().starts_with(scheme)) {
                 return Err(format!(
-                    "fleet.url = {:?}: an address begins with nats:// or tls://",
-                    self.url
+                    "fleet.url = {:?}: an address begins with nats:// or tls://, and `,` of a password is %2C",
+                    without_secrets(&self.url)
                 ));
             }
+        }
+        if self.ca.is_some() && !is_encrypted(&self.url) {
+            return Err(format!(
+                "fleet.url = {:?} with fleet.ca: only tls:// is encrypted; write tls://, or no ca",
+                without_secrets(&self.url)
+            ));
         }
         if self.nkey_file.is_some() && self.token_file.is_some() {
             return Err("fleet.nkey_file and fleet.token_file: one of them, not both".to_owned());
@@ -50,6 +56,29 @@ impl FleetConfig {
     pub fn edge_name(&self) -> String {
         self.edge.clone().unwrap_or_else(host_name)
     }
+}
+
+/// Returns `true` if each of the addresses, with commas between, demands encryption.
+pub fn is_encrypted(url: &str) -> bool {
+    url.split(',').all(|url| url.trim().starts_with("tls://"))
+}
+
+/// Returns addresses, with commas between, without user, password and token. A wrong address has secrets, too: before an `@` only a
+/// scheme is shown, and a comma ends an address only before the next scheme.
+pub fn without_secrets(urls: &str) -> String {
+    let mut addresses: Vec<String> = Vec::new();
+    for part in urls.split(',') {
+        match addresses.last_mut() {
+            Some(before) if !part.contains("://") => *before += &format!(",{part}"),
+            _ => addresses.push(part.to_owned()),
+        }
+    }
+    let shown = |url: &String| match (url.split_once("://"), url.rsplit_once('@')) {
+        (Some((scheme, _)), Some((_, host))) => format!("{}://{host}", scheme.trim()),
+        (None, Some((_, host))) => host.to_owned(),
+        (_, None) => url.trim().to_owned(),
+    };
+    addresses.iter().map(shown).collect::<Vec<_>>().join(",")
 }
 
 fn check_name(name: &str) -> Result<(), String> {
@@ -102,11 +131,41 @@ mod tests {
                 "url = \"tls://h\"\nnkey_file = \"a\"\ntoken_file = \"b\"",
                 "not both",
             ),
+            ("url = \"nats://h\"\nca = \"ca.pem\"", "tls://"),
+            ("url = \"tls://h,nats://i\"\nca = \"ca.pem\"", "tls://"),
         ] {
             let why = config(text).check().unwrap_err();
             assert!(why.contains(word), "{why}");
         }
         assert!(toml::from_str::<FleetConfig>("url = \"nats://h\"\ntoken = \"x\"").is_err());
+    }
+
+    #[test]
+    fn no_message_shows_a_secret() {
+        for (url, shown) in [
+            ("nats://me:se,cret@h", "nats://h"),
+            ("user:geheim@h:4x", "h:4x"),
+            (
+                "nats://u:geheim@a, tls://to,k@en@b:1,c",
+                "nats://a,tls://b:1,c",
+            ),
+            ("nats://h:4222,i", "nats://h:4222,i"),
+        ] {
+            assert_eq!(without_secrets(url), shown);
+        }
+        for text in [
+            "[fleet]\nurl = \"http://u:geheim@a\"",
+            "[fleet]\nurl = \"nats://u:geheim@a",
+            "[fleet]\nurl = [\"nats://u:geheim@a\"]",
+            "[fleet]\nurl = \"nats://u:gehe,im@a\"",
+        ] {
+            let error = crate::DaemonConfig::parse(text, "ihd.toml").unwrap_err();
+            let error = error.to_string();
+            let is_shown = ["geheim", "gehe", "im@"]
+                .iter()
+                .any(|secret| error.contains(secret));
+            assert!(!is_shown, "{error}");
+        }
     }
 
     #[test]

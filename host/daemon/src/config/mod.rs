@@ -128,12 +128,12 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The file is no TOML, has an unknown key, or a value of the wrong type.
-    #[error("the configuration {path}: {source}")]
+    #[error("the configuration {path}: {why}")]
     Parse {
         /// Path of the file.
         path: String,
-        /// Error with its position.
-        source: Box<toml::de::Error>,
+        /// Error with its position, without secrets.
+        why: String,
     },
     /// Invalid value.
     #[error("the configuration {path}: {why}")]
@@ -143,6 +143,16 @@ pub enum ConfigError {
         /// Key, value and remedy.
         why: String,
     },
+}
+
+/// Returns the text of an error without the lines of the file that it quotes, if these may have the secret of an address.
+fn without_secret_lines(error: &toml::de::Error) -> String {
+    let text = error.to_string();
+    if !text.contains('@') {
+        return text;
+    }
+    let lines = text.lines().filter(|line| !line.contains('|'));
+    lines.collect::<Vec<_>>().join(": ")
 }
 
 impl Default for DaemonConfig {
@@ -181,9 +191,9 @@ impl DaemonConfig {
     /// # Errors
     /// As [`DaemonConfig::read`].
     pub fn parse(text: &str, path: &str) -> Result<Self, ConfigError> {
-        let config: Self = toml::from_str(text).map_err(|source| ConfigError::Parse {
+        let config: Self = toml::from_str(text).map_err(|error| ConfigError::Parse {
             path: path.to_owned(),
-            source: Box::new(source),
+            why: without_secret_lines(&error),
         })?;
         config.check().map_err(|why| ConfigError::Value {
             path: path.to_owned(),

@@ -35,7 +35,7 @@ pub enum KeyError {
         path: PathBuf,
     },
     /// File that others than its owner may read.
-    #[error("{}: others may read it (mode {mode:o}): `chmod 600` it, or remove it and have a new one made", path.display())]
+    #[error("{}: others may read it (mode {mode:o}): `chmod 600` it, and replace its secret if it may have been seen", path.display())]
     Open {
         /// The file.
         path: PathBuf,
@@ -158,8 +158,12 @@ fn write_new(path: &Path, seed: &str) -> io::Result<()> {
     file.sync_all()
 }
 
+/// Refuses a file that others than its owner may read.
+///
+/// # Errors
+/// [`KeyError::Open`].
 #[cfg(unix)]
-fn refuse_if_open_to_others(file: &File, path: &Path) -> Result<(), KeyError> {
+pub(crate) fn refuse_if_open_to_others(file: &File, path: &Path) -> Result<(), KeyError> {
     let metadata = file.metadata().map_err(|source| KeyError::Io {
         path: path.into(),
         source,
@@ -175,7 +179,7 @@ fn refuse_if_open_to_others(file: &File, path: &Path) -> Result<(), KeyError> {
 }
 
 #[cfg(not(unix))]
-fn refuse_if_open_to_others(_: &File, _: &Path) -> Result<(), KeyError> {
+pub(crate) fn refuse_if_open_to_others(_: &File, _: &Path) -> Result<(), KeyError> {
     Ok(())
 }
 

@@ -13,6 +13,7 @@ use std::str::FromStr;
 
 use ihd_daemon::config::is_name;
 
+pub(crate) use keys::refuse_if_open_to_others;
 pub use keys::{KeyError, UserKey, read_or_make};
 pub use rights::Rights;
 
