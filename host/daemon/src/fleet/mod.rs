@@ -8,6 +8,7 @@ pub mod delegation;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use ihd_link::Window;
 use ihd_map::library::{Library, PotEntry, Provenance};
@@ -23,7 +24,7 @@ use tokio::time::Instant;
 
 pub use self::delegation::DELEGATION_TIME;
 use self::delegation::Delegation;
-pub use crate::config::fleet::{FleetConfig, host_name};
+pub use crate::config::fleet::{FleetConfig, host_name, is_encrypted, without_secrets};
 use crate::fleet_view::FleetView;
 use crate::learning::{
     LearnInput, LearnJob, LearnerSlot, LearningInUse, WorkerAnswer, WorkerFigures, power_w,
@@ -106,6 +107,13 @@ impl FleetAccess {
     /// Replaces the fleet report; from then on this daemon is an edge.
     pub fn set_report(&self, report: FleetReport) {
         self.report.set(report);
+    }
+
+    /// Returns the time since the last half-cycle of a device; `None` without one.
+    pub fn telemetry_age(&self, device: &str) -> Option<Duration> {
+        let handle = self.devices.get(device)?;
+        let inner = handle.record.lock();
+        inner.power.last_at().map(|at| at.elapsed())
     }
 
     /// Leaves windows to the fleet until a time, at most [`DELEGATION_TIME`] from now; after that, and at once if `until` is `None`, the daemon identifies them itself.

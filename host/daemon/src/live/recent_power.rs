@@ -28,6 +28,11 @@ impl RecentPower {
         self.half_cycles.push_back((now, t.power_mw));
     }
 
+    /// Returns the time of the last half-cycle; `None` without one.
+    pub fn last_at(&self) -> Option<Instant> {
+        self.half_cycles.back().map(|(at, _)| *at)
+    }
+
     /// Returns the mean power in watt; 0 without telemetry.
     pub fn mean_w(&self) -> f64 {
         let sum_mw: f64 = self.half_cycles.iter().map(|(_, mw)| f64::from(*mw)).sum();
