@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::jetstream::{self, JetStreamError};
 use crate::names;
 use crate::server::{self, FleetServer};
+use crate::status;
 use crate::stream_message::{Outgoing, PublishFailure, StoredMessage};
 
 pub use crate::standing::Standing;
@@ -118,7 +119,16 @@ pub(crate) async fn put(
     }
 }
 
-/// Frees a name for the next claim; returns the former claim, `None` without one.
+/// Returns the claimed names: the edges that a fleet should have.
+///
+/// # Errors
+/// [`JetStreamError`].
+pub async fn edges(context: &Context) -> Result<Vec<String>, JetStreamError> {
+    let entries = jetstream::entries(context, names::CLAIMS).await?;
+    Ok(entries.into_keys().collect())
+}
+
+/// Frees a name for the next claim, and removes its hobs' cards; returns the former claim, `None` without one.
 ///
 /// # Errors
 /// [`JetStreamError`].
@@ -128,6 +138,9 @@ pub async fn free(context: &Context, edge: &str) -> Result<Option<Claim>, JetStr
     if claim.is_some() {
         let bucket = jetstream::bucket(context, names::CLAIMS).await?;
         bucket.delete(edge).await.map_err(failed)?;
+    }
+    for hob in status::hobs_of(context, edge).await? {
+        jetstream::remove(context, names::HOBS, &hob).await?;
     }
     Ok(claim)
 }

@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::clock::now_ms;
-use crate::jetstream::{self, JetStreamError};
+use crate::jetstream::{self, BucketEntry, JetStreamError};
 use crate::names;
 
 /// Card of a hob, published by its edge: the value of its key (JSON).
@@ -34,12 +34,28 @@ pub async fn report(context: &Context, server: &str) -> Result<FleetReport, JetS
     let (backlog, windows) = count(names::WINDOWS).await?;
     let (_, results) = count(names::RESULTS).await?;
     let (dead, _) = count(names::DEAD).await?;
-    let workers: BTreeMap<String, FleetWorker> = cards(context, names::WORKER_CARDS).await?;
-    let edges: BTreeMap<String, FleetEdge> = cards(context, names::EDGES).await?;
-    let hobs: BTreeMap<String, HobCard> = cards(context, names::HOBS).await?;
+    // Times of the server in place of the senders': their clocks may be wrong.
+    let workers = cards(context, names::WORKER_CARDS, |card: FleetWorker, at_ms| {
+        FleetWorker {
+            last_seen_ms: at_ms,
+            ..card
+        }
+    });
+    let workers = workers.await?;
+    let edges = cards(context, names::EDGES, |card: FleetEdge, at_ms| FleetEdge {
+        last_seen_ms: at_ms,
+        ..card
+    });
+    let edges = edges.await?;
+    let hobs = cards(context, names::HOBS, |mut card: HobCard, at_ms| {
+        card.device.last_seen_ms = at_ms;
+        card
+    });
+    let hobs = hobs.await?;
     let expected_build = jetstream::entries(context, names::SETTINGS).await?;
     let expected_build = expected_build.get(names::BUILD);
-    let expected_build = expected_build.map(|build| String::from_utf8_lossy(build).into_owned());
+    let expected_build =
+        expected_build.map(|build| String::from_utf8_lossy(&build.value).into_owned());
     Ok(FleetReport {
         server: server.to_owned(),
         connected: true,
@@ -49,23 +65,41 @@ pub async fn report(context: &Context, server: &str) -> Result<FleetReport, JetS
         backlog,
         dead,
         workers: workers.into_values().collect(),
-        edges: edges.into_values().collect(),
+        // The key, not the card: that of a refused edge has its own.
+        edges: edges
+            .into_iter()
+            .map(|(name, edge)| FleetEdge { name, ..edge })
+            .collect(),
         devices: outdated(hobs, expected_build.as_deref()),
         ..FleetReport::default()
     })
 }
 
-/// Returns the cards of a bucket without the unreadable ones.
+/// Returns the hobs whose cards are of an edge.
+///
+/// # Errors
+/// [`JetStreamError`].
+pub(crate) async fn hobs_of(context: &Context, edge: &str) -> Result<Vec<String>, JetStreamError> {
+    let hobs = cards(context, names::HOBS, |card: HobCard, _| card).await?;
+    let of_edge = hobs
+        .into_iter()
+        .filter(|(_, card)| card.device.edge == edge);
+    Ok(of_edge.map(|(hob, _)| hob).collect())
+}
+
+/// Returns the cards of a bucket without the unreadable ones, each after `dated` with the time of its arrival by this machine's clock.
 async fn cards<T: DeserializeOwned>(
     context: &Context,
     bucket: &str,
+    dated: impl Fn(T, i64) -> T,
 ) -> Result<BTreeMap<String, T>, JetStreamError> {
     let entries = jetstream::entries(context, bucket).await?;
-    let read = |(key, value): (String, bytes::Bytes)| {
-        let card = serde_json::from_slice(&value);
+    let now_ms = now_ms();
+    let read = |(key, entry): (String, BucketEntry)| {
+        let card = serde_json::from_slice(&entry.value);
         card.map_err(|why| tracing::debug!(bucket, key, %why, "a card cannot be read"))
             .ok()
-            .map(|card| (key, card))
+            .map(|card| (key, dated(card, now_ms - entry.age_ms)))
     };
     Ok(entries.into_iter().filter_map(read).collect())
 }

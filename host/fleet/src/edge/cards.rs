@@ -7,6 +7,7 @@ use std::time::Duration;
 use async_nats::jetstream::Context;
 use ihd_daemon::learning::{WorkerFigures, sum_answers};
 use ihd_model::{DeviceReport, FleetAnswers, FleetDevice, FleetEdge, FleetReport, FleetStates};
+use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::alarms::Alarms;
@@ -20,8 +21,11 @@ use crate::status::{self, HobCard};
 /// Period of updates.
 const UPDATE_PERIOD: Duration = Duration::from_secs(2);
 
-/// Period of reading the whole fleet: each hob is one request.
+/// Period of reading the whole fleet.
 const REPORT_PERIOD: Duration = Duration::from_secs(10);
+
+/// Longest time that reading the fleet may take.
+const REPORT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Period of counting this edge's windows.
 const COUNT_PERIOD: Duration = Duration::from_secs(5);
@@ -44,6 +48,8 @@ pub async fn run(link: Arc<Link>, context: Context) {
     let mut own = OwnWindows::default();
     // Reason for which only a part of the fleet is reported.
     let mut partly = String::new();
+    // Apart: a far server delays no card. Dropped with it, it ends.
+    let mut reading = JoinSet::new();
     loop {
         own.update(&link).await;
         if link.is_reachable() {
@@ -51,13 +57,19 @@ pub async fn run(link: Arc<Link>, context: Context) {
                 Ok(()) => link.works("cards"),
                 Err(why) => link.failed("cards", &why),
             }
-            if reported.is_none_or(|at| at.elapsed() >= REPORT_PERIOD) {
+            match reading.try_join_next() {
+                Some(Ok(Ok(read))) => (report, partly) = (read, String::new()),
+                Some(Ok(Err(why))) => (report, partly) = own_hobs(&link, report, &why),
+                Some(Err(_)) | None => {}
+            }
+            if reading.is_empty() && reported.is_none_or(|at| at.elapsed() >= REPORT_PERIOD) {
                 reported = Some(Instant::now());
-                (report, partly) = fleet_report(&link, &context, report).await;
+                reading.spawn(fleet_report(link.address.clone(), context.clone()));
             }
         } else {
             published = PublishedCards::default();
             reported = None;
+            reading.abort_all();
         }
         report.server.clone_from(&link.address);
         report.edge.clone_from(&link.edge);
@@ -116,21 +128,22 @@ fn refutation_alarm((name, figures): (&String, &WorkerFigures)) -> Option<String
         .then(|| format!("{refuted} answers of worker {name} were refuted{beyond}: {why}"))
 }
 
-/// Returns the report of the whole fleet; of this edge's hobs, with the reason, if its key may not read the fleet.
-async fn fleet_report(
-    link: &Link,
-    context: &Context,
-    before: FleetReport,
-) -> (FleetReport, String) {
-    match status::report(context, &link.address).await {
-        Ok(report) => (report, String::new()),
-        Err(why) => own_hobs(link, before, &why),
+/// Reads the report of the whole fleet.
+async fn fleet_report(address: String, context: Context) -> Result<FleetReport, JetStreamError> {
+    let reading = status::report(&context, &address);
+    match tokio::time::timeout(REPORT_TIMEOUT, reading).await {
+        Ok(report) => report,
+        Err(_) => {
+            let why = format!("not read within {} s", REPORT_TIMEOUT.as_secs());
+            Err(JetStreamError::new("the fleet", why))
+        }
     }
 }
 
+/// Returns the report with the present state of this edge's hobs alone, and the reason: its key may not read the fleet, or that failed. Numbers
+/// and their time stay those last read.
 fn own_hobs(link: &Link, before: FleetReport, why: &JetStreamError) -> (FleetReport, String) {
     let report = FleetReport {
-        at_ms: now_ms(),
         devices: link
             .daemon
             .view()

@@ -36,8 +36,8 @@ async fn take_turn(link: &Link, context: &Context) -> Result<Duration, JetStream
 async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> {
     let there = jetstream::entries(context, names::POTS).await?;
     let mut libraries: BTreeMap<String, Library> = BTreeMap::new();
-    for (hob, bytes) in &there {
-        match own_entries(hob, bytes) {
+    for (hob, entry) in &there {
+        match own_entries(hob, &entry.value) {
             Ok(library) => {
                 libraries.insert(hob.clone(), library);
             }
@@ -59,7 +59,7 @@ async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> 
             continue;
         }
         let bytes = mine.to_bytes();
-        if there.get(&hob).is_none_or(|known| *known != bytes) {
+        if there.get(&hob).is_none_or(|known| known.value != bytes) {
             jetstream::put(context, names::POTS, &hob, bytes).await?;
         }
     }
