@@ -5,15 +5,22 @@ use clap::{Args, ValueEnum};
 use ihd::cli::global::Global;
 use ihd::report::table::TextTable;
 use ihd::{ensure_usage, say};
-use ihd_fleet::{names, status};
-use ihd_model::{FleetEdge, FleetReport};
+use ihd_fleet::jetstream::SILENT_AFTER;
+use ihd_fleet::{claims, names, status};
+use ihd_model::{FleetDevice, FleetEdge, FleetReport};
 use serde::Serialize;
 
 use super::dead::Which;
 use super::{AccessArgs, StatusCheckFailed, ago};
 
-/// Time in milliseconds after which a silent hob or edge counts as lost.
-const SILENT_MS: i64 = 60_000;
+/// State of the fleet, with the edges that are missing in it.
+#[derive(Serialize)]
+struct FleetStatus {
+    #[serde(flatten)]
+    report: FleetReport,
+    /// Edges that have a name in the fleet, and were not heard of.
+    silent_edges: Vec<String>,
+}
 
 /// State of the fleet, its hobs, what waits for a worker, or what was given up
 #[derive(Debug, Args)]
@@ -25,8 +32,8 @@ pub struct StatusArgs {
     /// Part that is shown
     #[arg(value_enum, value_name = "PART", default_value = "fleet")]
     part: Part,
-    /// With fleet: end with code 7 where windows are dead, no worker is there for a backlog, an edge was not heard of for a minute, or one
-    /// has an alarm: windows that are due for 10 min or without an answer for an hour, a name that is another store's
+    /// With fleet: end with code 7 where windows are dead, no worker is there for a backlog, an edge or a hob was not heard of for 30 s, or an
+    /// edge has an alarm: windows that are due for 10 min or without an answer for an hour, a name that is another store's
     #[arg(long)]
     check: bool,
     /// With devices: only those whose firmware differs from that of most of their board, or from `ihd-fleet init --build`
@@ -52,10 +59,29 @@ enum Part {
     Dead,
 }
 
-fn report(access: &AccessArgs, global: &Global) -> Result<FleetReport> {
+fn read(access: &AccessArgs, global: &Global) -> Result<FleetStatus> {
     access.with(global, async |access, context| {
-        Ok(status::report(&context, &access.shown()).await?)
+        let report = status::report(&context, &access.shown()).await?;
+        let claimed = claims::edges(&context).await?;
+        Ok(FleetStatus::new(report, claimed))
     })
+}
+
+impl FleetStatus {
+    /// Creates it from the report and the names that edges have claimed.
+    fn new(report: FleetReport, claimed: Vec<String>) -> Self {
+        let is_silent = |name: &String| !report.edges.iter().any(|edge| edge.name == *name);
+        Self {
+            silent_edges: claimed.into_iter().filter(is_silent).collect(),
+            report,
+        }
+    }
+}
+
+/// Returns `true` if no edge has renewed the card of a hob.
+fn is_silent(device: &FleetDevice, at_ms: i64) -> bool {
+    let silence_ms = i64::try_from(SILENT_AFTER.as_millis()).unwrap_or(i64::MAX);
+    at_ms.saturating_sub(device.last_seen_ms) > silence_ms
 }
 
 impl StatusArgs {
@@ -81,39 +107,53 @@ impl StatusArgs {
     }
 
     fn fleet(&self, access: &AccessArgs, global: &Global) -> Result<()> {
-        let report = report(access, global)?;
+        let status = read(access, global)?;
         match global.json {
-            true => say!("{}", serde_json::to_string_pretty(&report)?)?,
-            false => say!("{}", report_text(&report).trim_end())?,
+            true => say!("{}", serde_json::to_string_pretty(&status)?)?,
+            false => say!("{}", report_text(&status).trim_end())?,
         }
-        match amiss(&report) {
+        match amiss(&status) {
             Some(why) if self.check => Err(StatusCheckFailed(why).into()),
             _ => Ok(()),
         }
     }
 }
 
-fn amiss(report: &FleetReport) -> Option<String> {
-    let silent: Vec<&str> = report
-        .edges
-        .iter()
-        .filter(|edge| report.at_ms - edge.last_seen_ms > SILENT_MS)
-        .map(|edge| edge.name.as_str())
-        .collect();
-    let alarms: Vec<String> = alarms(report).collect();
-    match report {
-        _ if !alarms.is_empty() => Some(alarms.join("; ")),
-        r if r.dead > 0 => Some(format!(
-            "{} windows were given up: ihd-fleet status dead",
-            r.dead
-        )),
-        r if r.backlog > 0 && r.workers.is_empty() => Some(format!(
-            "{} windows wait, and there is no worker: ihd-fleet worker",
-            r.backlog
-        )),
-        _ if !silent.is_empty() => Some(format!("not heard of: {}", silent.join(", "))),
-        _ => None,
+/// Returns all that needs somebody; `None` if nothing does.
+fn amiss(status: &FleetStatus) -> Option<String> {
+    let report = &status.report;
+    let mut reasons: Vec<String> = silences(status).chain(alarms(report)).collect();
+    if report.dead > 0 {
+        let dead = report.dead;
+        reasons.push(format!(
+            "{dead} windows were given up: ihd-fleet status dead"
+        ));
     }
+    if report.backlog > 0 && report.workers.is_empty() {
+        let backlog = report.backlog;
+        reasons.push(format!(
+            "{backlog} windows wait, and there is no worker: ihd-fleet worker"
+        ));
+    }
+    (!reasons.is_empty()).then(|| reasons.join("; "))
+}
+
+/// Edges and hobs that were not heard of.
+fn silences(status: &FleetStatus) -> impl Iterator<Item = String> {
+    let edge = |name: &String| {
+        format!(
+            "edge {name} was not heard of for {} s: is its daemon running? `ihd-fleet init --free {name}` where it is gone for good",
+            SILENT_AFTER.as_secs()
+        )
+    };
+    let hob = |device: &FleetDevice| {
+        let (name, edge, since) = (&device.name, &device.edge, ago(device.last_seen_ms));
+        format!("hob {name} of edge {edge} was not heard of for {since}")
+    };
+    let at_ms = status.report.at_ms;
+    let hobs = status.report.devices.iter();
+    let hobs = hobs.filter(move |device| is_silent(device, at_ms)).map(hob);
+    status.silent_edges.iter().map(edge).chain(hobs)
 }
 
 /// Alarms of all edges.
@@ -126,7 +166,8 @@ fn alarms(report: &FleetReport) -> impl Iterator<Item = String> {
     report.edges.iter().flat_map(of)
 }
 
-fn report_text(report: &FleetReport) -> String {
+fn report_text(status: &FleetStatus) -> String {
+    let report = &status.report;
     let mut text = format!(
         "{}: {} windows ever, {} results, {} in the backlog, {} dead\n",
         report.server, report.windows, report.results, report.backlog, report.dead
@@ -180,8 +221,8 @@ fn report_text(report: &FleetReport) -> String {
     if !report.edges.is_empty() {
         text.push_str(&format!("\n{}", edges.render()));
     }
-    for alarm in alarms(report) {
-        text.push_str(&format!("{alarm}\n"));
+    for line in silences(status).chain(alarms(report)) {
+        text.push_str(&format!("{line}\n"));
     }
     text.push_str(&format!(
         "\n{} hobs, {} of them outdated: ihd-fleet status devices",
@@ -193,7 +234,7 @@ fn report_text(report: &FleetReport) -> String {
 
 impl StatusArgs {
     fn devices(&self, access: &AccessArgs, global: &Global) -> Result<()> {
-        let mut report = report(access, global)?;
+        let mut report = read(access, global)?.report;
         report.devices.retain(|d| d.outdated || !self.outdated);
         if global.json {
             return say!("{}", serde_json::to_string_pretty(&report.devices)?);
@@ -203,10 +244,14 @@ impl StatusArgs {
         ]);
         for device in &report.devices {
             let outdated = if device.outdated { "outdated" } else { "" };
+            let state = match is_silent(device, report.at_ms) {
+                true => format!("silent (was {})", device.state),
+                false => device.state.clone(),
+            };
             table.row([
                 device.name.clone(),
                 device.edge.clone(),
-                device.state.clone(),
+                state,
                 device.pot.clone(),
                 device.build.clone(),
                 outdated.to_owned(),
@@ -249,5 +294,42 @@ fn backlog(access: &AccessArgs, global: &Global) -> Result<()> {
     match waiting.is_empty() {
         true => say!("nothing waits"),
         false => say!("{}", table.render().trim_end()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_edge_whose_card_has_expired_and_its_hobs_are_amiss() {
+        let hob = |name: &str, last_seen_ms| FleetDevice {
+            name: name.into(),
+            edge: "lab-1".into(),
+            last_seen_ms,
+            ..FleetDevice::default()
+        };
+        let edge = |name: &str| FleetEdge {
+            name: name.into(),
+            ..FleetEdge::default()
+        };
+        let status = |edges: &[&str], age_ms| {
+            let report = FleetReport {
+                at_ms: 1_000_000,
+                edges: edges.iter().map(|name| edge(name)).collect(),
+                devices: vec![hob("bench", 1_000_000 - age_ms)],
+                ..FleetReport::default()
+            };
+            let claimed = vec!["lab-1".to_owned(), "lab-2".to_owned()];
+            amiss(&FleetStatus::new(report, claimed))
+        };
+        assert_eq!(status(&["lab-1", "lab-2"], 30_000), None);
+        let why = status(&["lab-2", "lab-1.refused"], 30_000).unwrap();
+        assert!(
+            why.contains("edge lab-1 ") && !why.contains("lab-2"),
+            "{why}"
+        );
+        let why = status(&["lab-1", "lab-2"], 30_001).unwrap();
+        assert!(why.contains("hob bench of edge lab-1"), "{why}");
     }
 }

@@ -161,13 +161,17 @@ fn key(folder: &Path, role: &str) -> PathBuf {
     folder.join(format!("keys/{SITE}-{role}.nk"))
 }
 
-/// Connects as soon as the server answers.
+/// Connects as soon as the server listens.
+///
+/// # Errors
+/// Any error but a refused connection: the server may still be starting.
 async fn connected(access: &Access, server: &mut Running) -> Result<Context> {
     loop {
         server.check()?;
-        // It may still be starting; if it cannot, it ends with the reason.
-        if let Ok(context) = access.connect("ihd-fleet-up").await {
-            return Ok(context);
+        match access.connect("ihd-fleet-up").await {
+            Ok(context) => return Ok(context),
+            Err(why) if why.is_refused_connection() => {}
+            Err(why) => return Err(why.into()),
         }
         tokio::time::sleep(POLL_PERIOD).await;
     }

@@ -183,6 +183,10 @@ async fn serve(
     let settings = configured::server_settings(&config);
     let (store, devices) = (config.store.clone(), config.devices.len());
     let fleet = config.fleet.clone();
+    ensure_usage!(
+        fleet.is_none() || cfg!(feature = "fleet"),
+        "[fleet]: this ihd was built without it; `cargo build --features fleet`"
+    );
     let binding = of_server.spawn(async move { ApiServer::bind(&settings).await });
     let server = binding.await.context("the server's threads")??;
     let daemon = Daemon::start(config, open).await.with_context(|| {
@@ -200,7 +204,7 @@ async fn serve(
     if let Some(file) = server.created_tokens() {
         tracing::info!(file = %file.display(), "a token of each role was made");
     }
-    let edge = edge(&daemon, fleet).await?;
+    let edge = edge(&daemon, fleet).await;
     let (stop, stopping) = watch::channel(false);
     let serving = of_server.spawn(server.run(daemon.clone(), stopping));
     let watched = tokio::spawn(supervised::ready_and_alive(daemon.clone()));
@@ -241,12 +245,27 @@ async fn serve(
     Ok(())
 }
 
-/// Starts the daemon as an edge of a fleet, if configured.
+/// Starts the daemon as an edge of a fleet, if configured. Hobs do not wait for the fleet: without a file of it the daemon runs alone, with an
+/// alarm.
 #[cfg(feature = "fleet")]
-async fn edge(daemon: &Daemon, fleet: Option<FleetConfig>) -> Result<Option<ihd_fleet::Edge>> {
-    let Some(config) = fleet else { return Ok(None) };
-    let edge = ihd_fleet::Edge::start(daemon.clone(), &config).await;
-    edge.map(Some).context("[fleet] of the configuration")
+async fn edge(daemon: &Daemon, fleet: Option<FleetConfig>) -> Option<ihd_fleet::Edge> {
+    let config = fleet?;
+    match ihd_fleet::Edge::start(daemon.clone(), &config).await {
+        Ok(edge) => Some(edge),
+        Err(why) => {
+            let alarm =
+                format!("[fleet] of the configuration: {why}; mend it and start the daemon again");
+            tracing::error!("the daemon runs without its fleet: {alarm}");
+            daemon.fleet().set_report(ihd_model::FleetReport {
+                server: ihd_daemon::fleet::without_secrets(&config.url),
+                edge: config.edge_name(),
+                why: why.to_string(),
+                alarms: vec![alarm],
+                ..ihd_model::FleetReport::default()
+            });
+            None
+        }
+    }
 }
 
 #[cfg(feature = "fleet")]
@@ -257,12 +276,8 @@ async fn end(edge: Option<ihd_fleet::Edge>) {
 }
 
 #[cfg(not(feature = "fleet"))]
-async fn edge(_: &Daemon, fleet: Option<FleetConfig>) -> Result<Option<std::convert::Infallible>> {
-    ensure_usage!(
-        fleet.is_none(),
-        "[fleet]: this ihd was built without it; `cargo build --features fleet`"
-    );
-    Ok(None)
+async fn edge(_: &Daemon, _: Option<FleetConfig>) -> Option<std::convert::Infallible> {
+    None
 }
 
 #[cfg(not(feature = "fleet"))]

@@ -22,4 +22,5 @@ mod silence;
 mod site;
 mod study;
 mod twins;
+mod watched;
 mod whole;

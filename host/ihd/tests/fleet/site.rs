@@ -68,6 +68,8 @@ pub struct Site {
     process: Option<Process>,
     /// Every window put into the store.
     pub windows: BTreeSet<Key>,
+    /// More lines of `[fleet]`.
+    pub fleet_lines: String,
     /// `true` if its hobs are simulated in the daemon; otherwise they do not answer.
     simulated: bool,
     /// Address of its API.
@@ -83,6 +85,7 @@ impl Site {
             hobs: (0..hobs).map(|k| format!("{edge}-{k}")).collect(),
             process: None,
             windows: BTreeSet::new(),
+            fleet_lines: String::new(),
             simulated: false,
             listen: free_address(),
         }
@@ -136,8 +139,8 @@ impl Site {
     pub fn start(&mut self, url: &str) {
         let mut text = format!(
             "store = \"store\"\nlisten = {:?}\ndiscover_usb = false\n\
-             [fleet]\nurl = {url:?}\nedge = {:?}\n",
-            self.listen, self.edge
+             [fleet]\nurl = {url:?}\nedge = {:?}\n{}",
+            self.listen, self.edge, self.fleet_lines
         );
         for (k, hob) in self.hobs.iter().enumerate() {
             // No process listens there.
