@@ -22,6 +22,9 @@ pub struct Claim {
     pub host: String,
     /// Folder of the store there.
     pub store: String,
+    /// Random id of the run of the daemon: two machines from one disk image have all else in common. Empty from an ihd without it.
+    #[serde(default)]
+    pub run: String,
     /// Time of the claim in milliseconds since 1970, UTC.
     pub at_ms: i64,
 }
@@ -29,7 +32,7 @@ pub struct Claim {
 /// Consequence of the claim on the server.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ClaimVerdict {
-    /// The name is free, or this store claimed it at another place: this daemon claims it.
+    /// The name is free, or this store claimed it in an earlier run or at another place: this daemon claims it.
     MustClaim,
     /// Standing, without a new claim.
     Stands(Standing),
@@ -40,12 +43,12 @@ impl Claim {
         format!("the store {} on host {}", self.store, self.host)
     }
 
-    fn is_at_place_of(&self, other: &Self) -> bool {
-        (&self.host, &self.store) == (&other.host, &other.store)
+    fn is_of_run(&self, other: &Self) -> bool {
+        (&self.host, &self.store, &self.run) == (&other.host, &other.store, &other.run)
     }
 
-    /// Compares this claim of the name `edge` with the one on the server. A store that was moved keeps its name: the daemon that started
-    /// last holds it, and a daemon at the former place is refused.
+    /// Compares this claim of the name `edge` with the one on the server. A store keeps its name, wherever it is moved: of its daemons the one
+    /// that started last holds it, at once, and one that ran before is refused.
     pub fn judge(&self, edge: &str, there: Option<&Self>, standing: &Standing) -> ClaimVerdict {
         let Some(there) = there else {
             return ClaimVerdict::MustClaim;
@@ -58,11 +61,11 @@ impl Claim {
             )));
         }
         match standing {
-            _ if there.is_at_place_of(self) => ClaimVerdict::Stands(Standing::Held),
+            _ if there.is_of_run(self) => ClaimVerdict::Stands(Standing::Held),
             Standing::Unknown => ClaimVerdict::MustClaim,
             Standing::Held | Standing::Refused(_) => {
                 ClaimVerdict::Stands(Standing::Refused(format!(
-                    "the edge name {edge:?} was taken along to {other}, by a copy of {mine}: stop one of the two"
+                    "the edge name {edge:?} was taken along to {other}, by a copy of {mine} that started later: stop one of the two"
                 )))
             }
         }
@@ -164,6 +167,7 @@ mod tests {
             identity: identity.into(),
             host: host.into(),
             store: "/var/lib/ihd/store".into(),
+            run: "1".into(),
             at_ms: 0,
         }
     }
@@ -206,5 +210,21 @@ mod tests {
         assert!(why.contains("cellar") && why.contains("attic"), "{why}");
         let still = before.judge("lab-1", Some(&after), &Standing::Refused(why.clone()));
         assert_eq!(refusal(still), why);
+    }
+
+    #[test]
+    fn of_two_daemons_from_one_disk_image_the_later_has_the_name() {
+        let first = claim("a", "cellar");
+        let second = Claim {
+            run: "2".into(),
+            ..first.clone()
+        };
+        // Also where the second is the first, started again after `kill -9`.
+        let started = second.judge("lab-1", Some(&first), &Standing::Unknown);
+        assert_eq!(started, ClaimVerdict::MustClaim);
+        let held = second.judge("lab-1", Some(&second), &Standing::Unknown);
+        assert_eq!(held, ClaimVerdict::Stands(Standing::Held));
+        let why = refusal(first.judge("lab-1", Some(&second), &Standing::Held));
+        assert!(why.contains("lab-1") && why.contains("later"), "{why}");
     }
 }

@@ -168,7 +168,8 @@ async fn each(
     }
 }
 
-/// Puts dead letters back into the queue; returns their number. A kill in between leaves one in both; its result is unique all the same.
+/// Puts dead letters back into the queue; returns their number. A kill in between leaves one in both; its result is unique all the same, so
+/// that it needs no message id, which another key could have used before.
 ///
 /// # Errors
 /// [`JetStreamError`]; the letters before the error are replayed.
@@ -182,10 +183,7 @@ pub async fn replay(context: &Context, filter: &DeadFilter) -> Result<u64, JetSt
     let mut replayed = 0;
     for (dead_window, payload) in windows {
         let failed = |e: String| JetStreamError::new(names::WINDOWS, e);
-        let message = PublishMessage::build().payload(payload).message_id(format!(
-            "replay-{}-{}",
-            dead_window.number, dead_window.at_s
-        ));
+        let message = PublishMessage::build().payload(payload);
         let sent = context
             .send_publish(names::window(&dead_window.hob), message)
             .await;

@@ -1,5 +1,5 @@
-//! Message ids of windows, by which the server detects duplicates. Ids are unique in a stream, not in a subject: with a guessed id one edge
-//! could make another edge's window pass for a duplicate. So each id carries an authentication code of the edge.
+//! Message ids of windows and events, by which the server detects duplicates. Ids are unique in a stream, not in a subject: with a guessed id one edge
+//! could make another edge's message pass for a duplicate. So each id carries an authentication code of the edge.
 
 use ring::hmac::{HMAC_SHA256, Key, sign};
 
@@ -22,6 +22,13 @@ impl MessageIds {
     /// Returns the id of a window: `HOB-BOOT-SEQ-CODE`.
     pub fn window_id(&self, hob: &str, boot: u32, seq: u32) -> String {
         let name = format!("{hob}-{boot}-{seq}");
+        let code = self.code(&name);
+        format!("{name}-{code}")
+    }
+
+    /// Returns the id of an event: `EDGE-event-NUMBER-CODE`. A new store, which counts from the beginning, has other codes.
+    pub fn event_id(&self, edge: &str, number: i64) -> String {
+        let name = format!("{edge}-event-{number}");
         let code = self.code(&name);
         format!("{name}-{code}")
     }
@@ -71,6 +78,15 @@ mod tests {
         ] {
             assert_eq!(parse_window_id(number, hob), None, "{number} of {hob}");
         }
+    }
+
+    #[test]
+    fn an_event_of_a_new_store_is_no_duplicate_of_the_former_stores() {
+        let (a, b) = (MessageIds::new([1; 16]), MessageIds::new([2; 16]));
+        let number = a.event_id("lab-2", 1);
+        assert!(number.starts_with("lab-2-event-1-"), "{number}");
+        assert_ne!(number, b.event_id("lab-2", 1));
+        assert_ne!(number, a.event_id("lab-2", 2));
     }
 
     #[test]

@@ -147,6 +147,16 @@ async fn consumer(
     })
 }
 
+/// Returns the hobs whose results a consumer with these filters does not receive; one without filters receives all.
+fn missing<'a>(filters: &[&str], hobs: &'a [String]) -> Vec<&'a str> {
+    let is_there = |hob: &str| {
+        let of_hob = [names::results(hob), names::results("*")];
+        filters.is_empty() || filters.iter().any(|f| of_hob.iter().any(|own| own == f))
+    };
+    let hobs = hobs.iter().map(String::as_str);
+    hobs.filter(|hob| !is_there(hob)).collect()
+}
+
 /// Consumer of an edge's results.
 pub enum ResultConsumer {
     /// JetStream's.
@@ -166,6 +176,24 @@ impl ResultConsumer {
             }
             #[cfg(test)]
             Self::Simulated(results) => results.made_us(),
+        }
+    }
+
+    /// Returns the hobs whose results do not arrive, because the operator made the consumer without them.
+    pub fn missing<'a>(&self, hobs: &'a [String]) -> Vec<&'a str> {
+        match self {
+            Self::JetStream(consumer) => {
+                let config = &consumer.cached_info().config;
+                let filters = config
+                    .filter_subjects
+                    .iter()
+                    .chain([&config.filter_subject]);
+                let filters: Vec<&str> = filters.map(String::as_str).collect();
+                let filters: Vec<&str> = filters.into_iter().filter(|f| !f.is_empty()).collect();
+                missing(&filters, hobs)
+            }
+            #[cfg(test)]
+            Self::Simulated(_) => missing(&[], hobs),
         }
     }
 
@@ -248,6 +276,22 @@ impl Incoming {
             }
             #[cfg(test)]
             Self::Simulated(delivered) => delivered.acknowledge_as(kind).await,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hob_that_the_consumer_does_not_have_is_missing() {
+        let hobs = ["aaa", "test"].map(str::to_owned);
+        let test = names::results("test");
+        assert_eq!(missing(&[&test], &hobs), ["aaa"]);
+        assert_eq!(missing(&[&test, &names::results("aaa")], &hobs), [""; 0]);
+        for all in [&[][..], &[&*names::results("*")]] {
+            assert_eq!(missing(all, &hobs), [""; 0]);
         }
     }
 }

@@ -171,11 +171,17 @@ impl Store {
         Ok(result.is_some())
     }
 
-    /// Returns events that the fleet has not acknowledged, oldest first, with their numbers; if none was ever sent, only those from now on.
+    /// Returns events of these devices, or all, that the fleet has not acknowledged, oldest first, with their numbers, `limit` at most; and the
+    /// number up to which no other is due. If none was ever sent, only those from now on.
     ///
     /// # Errors
     /// Errors of the database.
-    pub fn due_events(&mut self, limit: usize) -> Result<Vec<(i64, EventRow)>, StoreError> {
+    pub fn due_events(
+        &mut self,
+        devices: Option<&[String]>,
+        limit: usize,
+    ) -> Result<(Vec<(i64, EventRow)>, i64), StoreError> {
+        let devices = devices.map(|names| serde_json::json!(names).to_string());
         self.change("looking for events", |change| {
             // Events from before the fleet are not sent.
             change.execute(
@@ -183,10 +189,15 @@ impl Store {
                  WHERE true ON CONFLICT DO NOTHING",
                 [],
             )?;
+            let last = "SELECT coalesce(max(id), 0) FROM events";
+            let last: i64 = change.query_row(last, [], |row| row.get(0))?;
             let mut statement = change.prepare(
                 "SELECT events.id, at_ms, devices.name, kind, text FROM events
                  LEFT JOIN devices ON devices.id = events.device
                  WHERE events.id > (SELECT value FROM fleet WHERE what = 'events')
+                     AND (?2 IS NULL OR devices.name IN (SELECT value FROM json_each(?2)))
+                     AND events.id > coalesce(
+                         (SELECT value FROM fleet WHERE what = 'events ' || devices.name), 0)
                  ORDER BY events.id LIMIT ?1",
             )?;
             let row = |row: &Row<'_>| {
@@ -198,18 +209,39 @@ impl Store {
                 };
                 Ok((row.get(0)?, event))
             };
-            let rows = statement.query_map([limit as i64], row)?;
-            rows.collect()
+            let rows = statement.query_map(params![limit as i64, devices], row)?;
+            let due: Vec<(i64, EventRow)> = rows.collect::<rusqlite::Result<_>>()?;
+            let up_to = match due.last() {
+                Some((number, _)) if due.len() >= limit => *number,
+                _ => last,
+            };
+            Ok((due, up_to))
         })
     }
 
-    /// Marks all events up to this number as acknowledged by the fleet.
+    /// Marks the events of each device up to a number as acknowledged by the fleet, or, with `all`, those of every device.
     ///
     /// # Errors
     /// Errors of the database.
-    pub fn mark_events_sent(&mut self, up_to: i64) -> Result<(), StoreError> {
+    pub fn mark_events_sent(
+        &mut self,
+        sent: &[(String, i64)],
+        all: Option<i64>,
+    ) -> Result<(), StoreError> {
         self.change("noting what was sent", |change| {
-            change.execute("UPDATE fleet SET value = ?1 WHERE what = 'events'", [up_to])?;
+            for (device, up_to) in sent {
+                change.execute(
+                    "INSERT INTO fleet (what, value) VALUES ('events ' || ?1, ?2)
+                     ON CONFLICT (what) DO UPDATE SET value = max(value, ?2)",
+                    params![device, up_to],
+                )?;
+            }
+            if let Some(all) = all {
+                let mark = "UPDATE fleet SET value = max(value, ?1) WHERE what = 'events'";
+                change.execute(mark, [all])?;
+                let covered = "DELETE FROM fleet WHERE what GLOB 'events *' AND value <= ?1";
+                change.execute(covered, [all])?;
+            }
             Ok(())
         })
     }

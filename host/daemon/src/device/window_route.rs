@@ -66,7 +66,7 @@ impl WindowRoute {
         self.record.publish(EventKind::WindowStored { boot, seq });
         if !is_learnable {
             self.count(WindowCounter::Unfit);
-        } else if !(is_due && self.delegation.is_delegated()) {
+        } else if !(is_due && self.delegation.is_delegated_of(&self.record.name)) {
             // The learner counts the window that it drops for this one.
             self.learner.offer(LearnJob {
                 device: self.record.name.clone(),

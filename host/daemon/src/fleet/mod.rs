@@ -5,7 +5,7 @@
 
 pub mod delegation;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -116,8 +116,10 @@ impl FleetAccess {
         inner.power.last_at().map(|at| at.elapsed())
     }
 
-    /// Leaves windows to the fleet until a time, at most [`DELEGATION_TIME`] from now; after that, and at once if `until` is `None`, the daemon identifies them itself.
-    pub fn delegate_until(&self, until: Option<Instant>) {
+    /// Leaves windows to the fleet until a time, at most [`DELEGATION_TIME`] from now, except those of some hobs; the daemon identifies the
+    /// others itself, and all after that time, or at once if `until` is `None`.
+    pub fn delegate_until(&self, until: Option<Instant>, except: BTreeSet<String>) {
+        self.delegation.except(except);
         self.delegation.renew(until);
     }
 
@@ -284,20 +286,29 @@ impl FleetAccess {
         }
     }
 
-    /// Returns events that the fleet has not acknowledged, oldest first.
+    /// Returns events of these hobs that the fleet has not acknowledged, oldest first, and the number up to which they have no others.
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn due_events(&self, limit: usize) -> Result<Vec<(i64, EventRow)>, StoreThreadError> {
-        self.in_store(move |store| store.due_events(limit)).await
+    pub async fn due_events(
+        &self,
+        hobs: Vec<String>,
+        limit: usize,
+    ) -> Result<(Vec<(i64, EventRow)>, i64), StoreThreadError> {
+        self.in_store(move |store| store.due_events(Some(&hobs), limit))
+            .await
     }
 
-    /// Records that the fleet has acknowledged all events up to this number.
+    /// Records that the fleet has acknowledged the events of each hob up to a number, or, with `all`, of every hob.
     ///
     /// # Errors
     /// Error of the store.
-    pub async fn mark_events_sent(&self, up_to: i64) -> Result<(), StoreThreadError> {
-        self.in_store(move |store| store.mark_events_sent(up_to))
+    pub async fn mark_events_sent(
+        &self,
+        sent: Vec<(String, i64)>,
+        all: Option<i64>,
+    ) -> Result<(), StoreThreadError> {
+        self.in_store(move |store| store.mark_events_sent(&sent, all))
             .await
     }
 

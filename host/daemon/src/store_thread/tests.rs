@@ -126,7 +126,10 @@ async fn a_full_disk_is_told_once_and_lasts_until_windows_are_written_or_could_b
         .run(|store| store.event(None, "test", "it fits"))
         .await
         .unwrap();
-    rig.thread.run(|store| store.due_events(1)).await.unwrap();
+    rig.thread
+        .run(|store| store.due_events(None, 1))
+        .await
+        .unwrap();
     rig.thread.idle().await;
     let failure = rig.thread.failure().unwrap();
     assert_eq!(

@@ -39,7 +39,7 @@ async fn heat_until_due(daemon: &Daemon, count: usize) -> Vec<DueWindow> {
         loop {
             daemon
                 .fleet()
-                .delegate_until(Some(Instant::now() + DELEGATION_TIME));
+                .delegate_until(Some(Instant::now() + DELEGATION_TIME), [].into());
             power(daemon, "a", 1_000).await.unwrap();
             let due = daemon
                 .fleet()

@@ -18,6 +18,9 @@ use crate::names;
 use crate::standing::Standing;
 use crate::status::{self, HobCard};
 
+/// Part of which failures are recorded.
+const PART: &str = "cards";
+
 /// Period of updates.
 const UPDATE_PERIOD: Duration = Duration::from_secs(2);
 
@@ -54,8 +57,8 @@ pub async fn run(link: Arc<Link>, context: Context) {
         own.update(&link).await;
         if link.is_reachable() {
             match publish_cards(&link, &context, &mut published, &own).await {
-                Ok(()) => link.works("cards"),
-                Err(why) => link.failed("cards", &why),
+                Ok(()) => link.works(PART),
+                Err(why) => link.failed(PART, &why),
             }
             match reading.try_join_next() {
                 Some(Ok(Ok(read))) => (report, partly) = (read, String::new()),
@@ -106,7 +109,8 @@ impl OwnWindows {
                 Err(why) => link.failed("store", &why),
             }
         }
-        self.alarms = self.late.update(&self.states, now_ms());
+        self.alarms = link.alarms();
+        self.alarms.extend(self.late.update(&self.states, now_ms()));
         let workers = link.daemon.fleet().workers();
         self.answers = sum_answers(workers.values());
         self.alarms
@@ -163,6 +167,7 @@ async fn publish_cards(
     published: &mut PublishedCards,
     own: &OwnWindows,
 ) -> Result<(), JetStreamError> {
+    let began = Instant::now();
     let is_due = |since: Option<Instant>| since.is_none_or(|at| at.elapsed() >= RENEWAL_PERIOD);
     let standing = link.state().standing.clone();
     let key = match standing {
@@ -184,6 +189,7 @@ async fn publish_cards(
     };
     if published.edge.as_ref().is_none_or(is_changed) {
         put(context, names::EDGES, &key, &mine).await?;
+        link.state().refusals.served(PART, Instant::now());
         published.edge = Some((mine, Instant::now()));
     }
     if standing != Standing::Held {
@@ -199,7 +205,14 @@ async fn publish_cards(
         {
             continue;
         }
-        put(context, names::HOBS, &device.name, &card).await?;
+        if !link.may_try(PART, &device.name) {
+            continue;
+        }
+        if let Err(why) = put(context, names::HOBS, &device.name, &card).await {
+            link.refused(PART, &device.name, &why, began);
+            continue;
+        }
+        link.accepted(PART, &device.name);
         published.hobs.insert(device.name, (card, Instant::now()));
     }
     Ok(())

@@ -1,18 +1,24 @@
-//! Events of the store to the fleet, in order. If the edge is killed between the publication of an event and its note, the event is sent
+//! Events of the store to the fleet, those of each hob in order. If the edge is killed between the publication of an event and its note, the event is sent
 //! twice, with the same number.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
 use ihd_store::EventRow;
 use serde::{Deserialize, Serialize};
+use tokio::time::Instant;
 
 use super::link::{Link, RETRY_PAUSE};
+use crate::message_ids::MessageIds;
 use crate::names;
-use crate::stream_message::{Outgoing, PendingAck};
+use crate::stream_message::{Outgoing, PendingAck, PublishFailure};
 
 /// Events sent at once.
 const BATCH: usize = 128;
+
+/// Part of which failures are recorded.
+const PART: &str = "events";
 
 /// Period of polling the store.
 const POLL_PERIOD: Duration = Duration::from_secs(2);
@@ -34,7 +40,7 @@ pub struct EventMessage {
 
 /// Sends until the edge stops. Events of the daemon itself, and of hobs that it has no more, stay in its store.
 pub async fn run(link: Arc<Link>) {
-    while link.turn("events", RETRY_PAUSE, take_turn(&link)).await {}
+    while link.turn(PART, RETRY_PAUSE, take_turn(&link)).await {}
 }
 
 /// Sends a batch; returns the pause before the next one.
@@ -43,7 +49,7 @@ async fn take_turn(link: &Link) -> Result<Duration, String> {
         return Ok(POLL_PERIOD);
     }
     let sent = send_batch(link).await?;
-    link.works("events");
+    link.works(PART);
     Ok(match sent {
         BATCH => Duration::ZERO,
         _ => POLL_PERIOD,
@@ -51,46 +57,58 @@ async fn take_turn(link: &Link) -> Result<Duration, String> {
 }
 
 async fn send_batch(link: &Link) -> Result<usize, String> {
-    let due = link.daemon.fleet().due_events(BATCH).await;
-    let due = due.map_err(|e| e.to_string())?;
+    let began = Instant::now();
+    let secret = link.daemon.fleet().secret().await;
+    let message_ids = MessageIds::new(secret.map_err(|e| e.to_string())?);
+    let hobs = link.hobs_to_try(PART);
+    let due = link.daemon.fleet().due_events(hobs.clone(), BATCH).await;
+    let (due, up_to) = due.map_err(|e| e.to_string())?;
     let count = due.len();
-    let (hobs, mut under_way) = (link.hobs(), Vec::new());
+    let (mut under_way, mut refused) = (Vec::new(), BTreeSet::new());
     for (number, event) in due {
-        under_way.push((number, send(link, &hobs, number, event).await?));
-    }
-    let mut up_to = None;
-    let mut failed = None;
-    for (number, acknowledged) in under_way {
-        let sent = match acknowledged {
-            Some(sent) => sent.await.map(drop),
-            None => Ok(()),
+        let Some(hob) = event.device.clone().filter(|hob| !refused.contains(hob)) else {
+            continue;
         };
-        match sent {
-            Ok(()) => up_to = Some(number),
-            // Later events are sent again.
+        match send(link, &message_ids, &hob, number, event).await? {
+            Ok(sent) => under_way.push((hob, number, sent)),
             Err(why) => {
-                failed = Some(why.to_string());
-                break;
+                link.refused(PART, &hob, &why, began);
+                refused.insert(hob);
             }
         }
     }
-    if let Some(up_to) = up_to {
-        let noted = link.daemon.fleet().mark_events_sent(up_to).await;
-        noted.map_err(|e| e.to_string())?;
+    let mut sent: BTreeMap<String, i64> = BTreeMap::new();
+    for (hob, number, acknowledged) in under_way {
+        match acknowledged.await {
+            _ if refused.contains(&hob) => {}
+            Ok(_) => {
+                sent.insert(hob, number);
+            }
+            // Later events of this hob are sent again.
+            Err(why) => {
+                link.refused(PART, &hob, &why, began);
+                refused.insert(hob);
+            }
+        }
     }
-    failed.map_or(Ok(count), Err)
+    for hob in sent.keys().filter(|hob| !refused.contains(*hob)) {
+        link.accepted(PART, hob);
+    }
+    let is_all = refused.is_empty() && hobs == link.hobs();
+    let noted = link.daemon.fleet();
+    let noted = noted.mark_events_sent(sent.into_iter().collect(), is_all.then_some(up_to));
+    noted.await.map_err(|e| e.to_string())?;
+    Ok(if refused.is_empty() { count } else { 0 })
 }
 
-/// Publishes an event; `None` if it is of none of these hobs. An edge may publish nothing of a hob that it has no more.
+/// Publishes an event of a hob.
 async fn send(
     link: &Link,
-    hobs: &[String],
+    message_ids: &MessageIds,
+    hob: &str,
     number: i64,
     event: EventRow,
-) -> Result<Option<PendingAck>, String> {
-    let Some(hob) = event.device.filter(|hob| hobs.contains(hob)) else {
-        return Ok(None);
-    };
+) -> Result<Result<PendingAck, PublishFailure>, String> {
     let message = EventMessage {
         edge: link.edge.clone(),
         number,
@@ -102,9 +120,8 @@ async fn send(
     let message = Outgoing {
         subject: names::event(hob),
         payload: payload.into(),
-        number: Some(format!("{}-event-{number}", link.edge)),
+        number: Some(message_ids.event_id(&link.edge, number)),
         after: None,
     };
-    let sent = link.server.publish(message).await;
-    sent.map(Some).map_err(|e| e.to_string())
+    Ok(link.server.publish(message).await)
 }

@@ -1,10 +1,16 @@
-//! Windows that no worker could identify: the edge searches the dead letters for sent windows without an answer.
+//! Sent windows without an answer: the edge searches the dead letters for them, and identifies those here whose answer cannot arrive.
 
 use std::sync::Arc;
 use std::time::Duration;
 
+use tokio::time::Instant;
+
+use super::inbox;
 use super::link::Link;
 use crate::dead_letters;
+
+/// Part of which failures are recorded.
+const PART: &str = "given up";
 
 /// Period of the checks.
 const POLL_PERIOD: Duration = Duration::from_secs(10);
@@ -19,7 +25,7 @@ const ASKED_AFTER_MS: i64 = 20_000;
 pub async fn run(link: Arc<Link>) {
     let mut passed = 0;
     while link
-        .turn_until_stop("given up", POLL_PERIOD, take_turn(&link, &mut passed))
+        .turn_until_stop(PART, POLL_PERIOD, take_turn(&link, &mut passed))
         .await
     {}
 }
@@ -28,7 +34,7 @@ pub async fn run(link: Arc<Link>) {
 async fn take_turn(link: &Link, passed: &mut usize) -> Result<Duration, String> {
     if link.is_admitted() {
         *passed = check_dead_letters(link, *passed).await?;
-        link.works("given up");
+        link.works(PART);
     }
     Ok(POLL_PERIOD)
 }
@@ -42,11 +48,28 @@ async fn check_dead_letters(link: &Link, passed: usize) -> Result<usize, String>
         .unanswered(before_ms, passed, CHECK_BATCH)
         .await;
     let windows = windows.map_err(|e| e.to_string())?;
-    let (mut still, count) = (0, windows.len());
+    let (mut still, count, began) = (0, windows.len(), Instant::now());
     for window in windows {
         let (hob, boot, seq) = (&window.device, window.boot, window.seq);
-        let why = dead_letters::why(&link.server, hob, boot, seq).await;
-        let Some(why) = why.map_err(|e| e.to_string())? else {
+        if !link.may_try(PART, hob) {
+            still += 1;
+            continue;
+        }
+        let why = match dead_letters::why(&link.server, hob, boot, seq).await {
+            Ok(why) => why,
+            Err(why) => {
+                link.refused(PART, hob, &why, began);
+                still += 1;
+                continue;
+            }
+        };
+        link.accepted(PART, hob);
+        let Some(why) = why else {
+            let key = (hob.clone(), boot, seq);
+            let is_early = link.state().oddities.is_early(&key);
+            if is_early {
+                inbox::receive_nothing(link, &key).await;
+            }
             still += 1;
             continue;
         };

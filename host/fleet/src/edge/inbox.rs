@@ -10,9 +10,10 @@ use ihd_daemon::learning::WorkerAnswer;
 use ihd_store::FleetMark;
 use tokio::time::Instant;
 
-use super::link::{Link, RETRY_PAUSE};
+use super::link::{Link, RESULTS, RETRY_PAUSE};
 use super::outbox;
 use super::state::lock;
+use super::trust::WindowKey;
 use crate::jetstream::JetStreamError;
 use crate::names;
 use crate::server::{Incoming, ResultConsumer};
@@ -33,10 +34,13 @@ const REQUEST_TIME: Duration = Duration::from_secs(5);
 /// Longest wait for the answer to a request. The client ends a request 5 s after its duration in any case.
 const ANSWERED_WITHIN: Duration = Duration::from_secs(REQUEST_TIME.as_secs() + 4);
 
+/// Period of reading the consumer again while it lacks a hob.
+const LACKING_PERIOD: Duration = Duration::from_secs(30);
+
 /// Receives results until the edge stops.
 pub async fn run(link: Arc<Link>) {
     while link
-        .turn_until_stop("results", RETRY_PAUSE, take_turn(&link))
+        .turn_until_stop(RESULTS, RETRY_PAUSE, take_turn(&link))
         .await
     {}
 }
@@ -46,7 +50,7 @@ async fn take_turn(link: &Link) -> Result<Duration, JetStreamError> {
     if link.is_admitted()
         && let Err(why) = receive_results(link).await
     {
-        link.failed("results", &why);
+        link.failed(RESULTS, &why);
     }
     link.state().signs.answered(false, Instant::now());
     link.renew_delegation();
@@ -61,14 +65,33 @@ async fn receive_results(link: &Link) -> Result<(), JetStreamError> {
     }
     let results = link.server.results(&link.edge, &hobs).await?;
     detect_lost_data(link, &results).await?;
+    let (is_whole, read) = (note_missing(link, &results, &hobs), Instant::now());
     // The first request may last for its whole duration.
     record_answer(link);
-    while link.hobs() == hobs && link.is_admitted() {
+    while link.hobs() == hobs && link.is_admitted() && (is_whole || read.elapsed() < LACKING_PERIOD)
+    {
         receive_batch(link, &results).await?;
         record_answer(link);
-        link.works("results");
+        link.works(RESULTS);
     }
     Ok(())
+}
+
+/// Records the hobs whose results do not arrive: their windows are not sent meanwhile. Returns `true` if there are none.
+fn note_missing(link: &Link, results: &ResultConsumer, hobs: &[String]) -> bool {
+    let missing = results.missing(hobs);
+    for hob in hobs {
+        if missing.contains(&hob.as_str()) {
+            let (edge, all) = (&link.edge, hobs.join(","));
+            let why = format!(
+                "its answers would not arrive, so its windows are not sent: the operator adds it, `ihd-fleet init --edge {edge}={all}`"
+            );
+            link.lacks(RESULTS, hob, &why);
+        } else {
+            link.accepted(RESULTS, hob);
+        }
+    }
+    missing.is_empty()
 }
 
 /// Records that the server has answered.
@@ -141,29 +164,27 @@ async fn receive_one(link: &Link, message: Incoming) {
             return;
         }
     };
-    let by = answer.by.clone();
+    let (by, key) = (answer.by.clone(), (hob.clone(), boot, seq));
     match link.daemon.fleet().receive(&hob, boot, seq, answer).await {
         Ok(received) => {
             match received {
                 ReceiveOutcome::Foreign => {
-                    tracing::info!(
-                        hob,
-                        boot,
-                        seq,
-                        "an answer for a boot that is not known here"
-                    );
+                    let is_first = link.state().oddities.foreign(&key);
+                    if is_first {
+                        let what =
+                            "an answer for a boot that is not known here; further ones are counted";
+                        tracing::warn!(hob, boot, seq, what);
+                    }
                 }
                 ReceiveOutcome::Unrequested => {
-                    tracing::warn!(
-                        hob,
-                        boot,
-                        seq,
-                        by,
-                        "an answer to a window that the fleet was never sent: refused"
-                    );
+                    let is_first = link.state().oddities.unrequested(key, &by);
+                    if is_first {
+                        let what = "an answer to a window that the fleet was never sent: refused; further ones are counted";
+                        tracing::warn!(hob, boot, seq, by, what);
+                    }
                 }
                 ReceiveOutcome::Stored | ReceiveOutcome::Duplicate => {
-                    link.state().answers.remove(&(hob, boot, seq));
+                    link.state().answers.remove(&key);
                 }
             }
             // If this is lost, it comes again and is a duplicate.
@@ -173,6 +194,31 @@ async fn receive_one(link: &Link, message: Incoming) {
             tracing::debug!(%why, "an answer is taken in later");
             message.redeliver(AGAIN_AFTER).await;
         }
+    }
+}
+
+/// Takes a window in as one without an answer, because its answer does not arrive: it is identified here.
+pub(super) async fn receive_nothing(link: &Link, (hob, boot, seq): &WindowKey) {
+    let answer = no_answer("the place of its answer was taken".to_owned());
+    let received = link.daemon.fleet().receive(hob, *boot, *seq, answer).await;
+    match received {
+        Ok(_) => {
+            let key = (hob.clone(), *boot, *seq);
+            let mut state = link.state();
+            state.answers.remove(&key);
+            state.oddities.settled(&key);
+        }
+        // It stays unanswered until the next call.
+        Err(why) => tracing::debug!(%why, "a window without an answer is taken in later"),
+    }
+}
+
+fn no_answer(why: String) -> WorkerAnswer {
+    WorkerAnswer {
+        by: UNREADABLE.to_owned(),
+        skew_s: None,
+        load: Err(why),
+        busy: Duration::ZERO,
     }
 }
 
@@ -187,12 +233,7 @@ fn read(link: &Link, message: &Incoming) -> Result<AnswerMessage, String> {
         seq,
         window_at_ms: 0,
         at_ms: link.daemon.view().now_ms(),
-        answer: WorkerAnswer {
-            by: UNREADABLE.to_owned(),
-            skew_s: None,
-            load: Err(why),
-            busy: Duration::ZERO,
-        },
+        answer: no_answer(why),
     };
     let read =
         AnswerMessage::from_bytes(message.payload()).unwrap_or_else(|e| unread(e.to_string()));

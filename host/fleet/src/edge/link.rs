@@ -1,10 +1,14 @@
 //! Link of an edge's tasks: their shared data, and the turns that each takes.
 
+use std::collections::BTreeSet;
 use std::fmt::Display;
 use std::future::Future;
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
+use futures_util::FutureExt;
 use ihd_daemon::Daemon;
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
@@ -27,7 +31,13 @@ pub(crate) struct Link {
     /// Ends all waiting in [`Link::wait`].
     wake: Notify,
     stop: watch::Receiver<bool>,
+    /// Random id of this run of the daemon.
+    pub run: String,
 }
+
+/// Parts without which a hob's windows are not left to the fleet.
+pub const SENDING: &str = "sending";
+pub const RESULTS: &str = "results";
 
 impl Link {
     pub fn new(
@@ -46,6 +56,7 @@ impl Link {
             state,
             wake: Notify::new(),
             stop,
+            run: format!("{:016x}", RandomState::new().build_hasher().finish()),
         }
     }
 
@@ -74,6 +85,48 @@ impl Link {
         }
     }
 
+    /// Records that the server refuses something of a hob, in a turn that began at `began`.
+    pub fn refused(&self, part: &'static str, hob: &str, why: &dyn Display, began: Instant) {
+        let why = why.to_string();
+        if self.state().refusals.refused(part, hob, &why, began) {
+            tracing::warn!(hob, "fleet: {part}: {why}");
+        }
+    }
+
+    /// Records what is wrong of a hob alone for certain.
+    pub fn lacks(&self, part: &'static str, hob: &str, why: &str) {
+        if self.state().refusals.lacks(part, hob, why, Instant::now()) {
+            tracing::warn!(hob, "fleet: {part}: {why}");
+        }
+    }
+
+    /// Records that the server accepts something of a hob.
+    pub fn accepted(&self, part: &'static str, hob: &str) {
+        let times = self.state().refusals.accepted(part, hob, Instant::now());
+        if times > 0 {
+            tracing::info!(hob, times, "fleet: {part}: it works again");
+        }
+    }
+
+    /// Returns `true` unless a hob that was refused waits for its next try.
+    pub fn may_try(&self, part: &'static str, hob: &str) -> bool {
+        self.state().refusals.may_try(part, hob, Instant::now())
+    }
+
+    /// Returns the names of this daemon's devices without those that wait for their next try.
+    pub fn hobs_to_try(&self, part: &'static str) -> Vec<String> {
+        let mut hobs = self.hobs();
+        self.state().refusals.keep(&hobs);
+        hobs.retain(|hob| self.may_try(part, hob));
+        hobs
+    }
+
+    /// Returns the hobs whose windows the fleet does not take, or whose answers do not arrive.
+    fn not_served(&self) -> BTreeSet<String> {
+        let refusals = &self.state().refusals;
+        &refusals.hobs(SENDING) | &refusals.hobs(RESULTS)
+    }
+
     /// Returns the text of all present failures, empty without any.
     pub fn failure_text(&self) -> String {
         let state = self.state();
@@ -81,8 +134,9 @@ impl Link {
             Standing::Refused(why) => why.as_str(),
             Standing::Unknown | Standing::Held => "",
         };
-        let texts = [&*state.away, refused, &state.faults.text()];
-        let texts = texts.into_iter().filter(|text| !text.is_empty());
+        let texts = [state.away.clone(), refused.to_owned(), state.faults.text()];
+        let texts = texts.into_iter().chain(state.refusals.of_outages());
+        let texts = texts.filter(|text| !text.is_empty());
         texts.collect::<Vec<_>>().join("; ")
     }
 
@@ -96,7 +150,7 @@ impl Link {
             state.away.clear();
         }
         drop(state);
-        self.daemon.fleet().delegate_until(until);
+        self.daemon.fleet().delegate_until(until, self.not_served());
     }
 
     /// Returns `true` if the server answers and is new enough; records the failure if it is too old.
@@ -122,6 +176,53 @@ impl Link {
         devices
             .filter(|name| ihd_daemon::config::is_name(name))
             .collect()
+    }
+
+    /// Runs a part until the edge stops. A part that ends before is an alarm, and begins anew.
+    pub async fn keep<F: Future<Output = ()>>(
+        self: Arc<Self>,
+        part: &'static str,
+        run: impl Fn(Arc<Self>) -> F,
+    ) {
+        loop {
+            // What a panic leaves behind is dropped with the part; locks are never poisoned for good (state.rs).
+            let ended = AssertUnwindSafe(run(Arc::clone(&self)))
+                .catch_unwind()
+                .await;
+            if self.is_stopping() {
+                return;
+            }
+            tracing::error!(
+                part,
+                panicked = ended.is_err(),
+                "a part of the edge has ended; it begins anew"
+            );
+            *self.state().ended.entry(part).or_default() += 1;
+            if !self.wait(RETRY_PAUSE).await {
+                return;
+            }
+        }
+    }
+
+    /// Returns the alarms of parts that have ended, refused hobs and answers that nobody asked for.
+    pub fn alarms(&self) -> Vec<String> {
+        let (state, now) = (self.state(), Instant::now());
+        let text = |(part, times): (&&str, &u32)| {
+            format!(
+                "the edge's part {part:?} has ended by an error of ihd and begun anew, {times} times: please report the log"
+            )
+        };
+        let ended = state.ended.iter().map(text);
+        let refused = state.refusals.alarms(now);
+        ended
+            .chain(refused)
+            .chain(state.oddities.alarms(now))
+            .collect()
+    }
+
+    /// Returns `true` once the edge is to stop.
+    pub fn is_stopping(&self) -> bool {
+        *self.stop.borrow()
     }
 
     /// Waits until the edge stops.

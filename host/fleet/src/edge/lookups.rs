@@ -12,6 +12,7 @@ use ihd_daemon::fleet::LookupCheck;
 use ihd_model::{Command, DeviceState, EventKind};
 use ihd_shared::lookup::RlLookup;
 use tokio::sync::broadcast::error::RecvError;
+use tokio::time::Instant;
 
 use super::link::{Link, RETRY_PAUSE};
 use crate::jetstream;
@@ -21,13 +22,16 @@ use crate::names;
 /// Holder of commands to the daemon's devices on behalf of the fleet.
 const HOLDER: &str = "fleet";
 
+/// Part of which failures are recorded.
+const PART: &str = "lookups";
+
 /// Period of polling without hints.
 const POLL_PERIOD: Duration = Duration::from_secs(5);
 
 /// Reconciles hobs and fleet until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
     while link
-        .turn_until_stop("lookups", RETRY_PAUSE, follow(&link, &context))
+        .turn_until_stop(PART, RETRY_PAUSE, follow(&link, &context))
         .await
     {}
 }
@@ -50,10 +54,17 @@ async fn follow(link: &Link, context: &Context) -> Result<Duration, String> {
     let mut notices = link.daemon.watch();
     let mut changed: Vec<String> = hobs.clone();
     let mut poll = tokio::time::interval(POLL_PERIOD);
-    link.works("lookups");
+    link.works(PART);
     while link.is_admitted() && link.hobs() == hobs {
         for hob in std::mem::take(&mut changed) {
-            reconcile(link, &bucket, &hob).await?;
+            let began = Instant::now();
+            // The next poll comes back to a hob that waits.
+            if link.may_try(PART, &hob) {
+                match reconcile(link, &bucket, &hob).await {
+                    Ok(()) => link.accepted(PART, &hob),
+                    Err(why) => link.refused(PART, &hob, &why, began),
+                }
+            }
         }
         tokio::select! {
             // An interval, since a pause would begin anew with each notice.
@@ -87,12 +98,12 @@ async fn reconcile(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), Str
         let by = &requested.by;
         match push(link, hob, requested).await {
             Ok(Some(said)) => {
-                link.works("lookups");
+                link.works(PART);
                 tracing::info!(hob, by, said, "a lookup of the fleet is in use");
             }
             Ok(None) => return Ok(()),
             Err(why) => {
-                link.failed("lookups", &format!("that of {by} for {hob}: {why}"));
+                link.failed(PART, &format!("that of {by} for {hob}: {why}"));
                 return Ok(());
             }
         }

@@ -21,8 +21,10 @@ mod inbox;
 mod link;
 mod lookups;
 mod name;
+mod oddities;
 mod outbox;
 mod pots;
+mod refusals;
 pub(crate) mod state;
 mod states;
 #[cfg(test)]
@@ -75,12 +77,18 @@ impl Edge {
         let server = FleetServer::JetStream(Box::new(context.clone()), access);
         let (link, mut this) = Self::begin(daemon, edge, address, server, state);
         let tasks = &mut this.tasks;
-        tasks.spawn(lookups::run(Arc::clone(&link), context.clone()));
-        tasks.spawn(pots::run(Arc::clone(&link), context.clone()));
-        tasks.spawn(cards::run(Arc::clone(&link), context.clone()));
-        tasks.spawn(states::run(Arc::clone(&link), context.client()));
+        let with = || (Arc::clone(&link), context.clone());
+        let (kept, context) = with();
+        tasks.spawn(kept.keep("lookups", move |link| lookups::run(link, context.clone())));
+        let (kept, context) = with();
+        tasks.spawn(kept.keep("pots", move |link| pots::run(link, context.clone())));
+        let (kept, context) = with();
+        tasks.spawn(kept.keep("cards", move |link| cards::run(link, context.clone())));
+        let (kept, context) = with();
+        tasks.spawn(kept.keep("states", move |link| states::run(link, context.client())));
         if config.captures {
-            tasks.spawn(captures::run(link, context));
+            let (kept, context) = with();
+            tasks.spawn(kept.keep("captures", move |link| captures::run(link, context.clone())));
         }
         Ok(this)
     }
@@ -96,11 +104,11 @@ impl Edge {
         let (stop, stopped) = watch::channel(false);
         let link = Arc::new(Link::new(daemon, edge, address, server, state, stopped));
         let mut tasks = JoinSet::new();
-        tasks.spawn(name::run(Arc::clone(&link)));
-        tasks.spawn(outbox::run(Arc::clone(&link)));
-        tasks.spawn(events::run(Arc::clone(&link)));
-        tasks.spawn(inbox::run(Arc::clone(&link)));
-        tasks.spawn(given_up::run(Arc::clone(&link)));
+        tasks.spawn(Arc::clone(&link).keep("name", name::run));
+        tasks.spawn(Arc::clone(&link).keep("outbox", outbox::run));
+        tasks.spawn(Arc::clone(&link).keep("events", events::run));
+        tasks.spawn(Arc::clone(&link).keep("inbox", inbox::run));
+        tasks.spawn(Arc::clone(&link).keep("given up", given_up::run));
         (link, Self { stop, tasks })
     }
 

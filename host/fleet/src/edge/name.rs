@@ -70,6 +70,7 @@ async fn own_claim(link: &Link) -> Result<Claim, JetStreamError> {
         identity: MessageIds::new(secret).public(),
         host: host_name(),
         store: folder.display().to_string(),
+        run: link.run.clone(),
         at_ms: link.daemon.view().now_ms(),
     })
 }

@@ -1,6 +1,7 @@
 //! Windows of the store to the fleet: unidentified ones, and the results of those identified here. A window without acknowledgement stays
 //! due, and is sent again under the same number.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,7 +13,7 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
 use super::acknowledged::{self, all_until};
-use super::link::{Link, RETRY_PAUSE};
+use super::link::{Link, RESULTS, RETRY_PAUSE, SENDING};
 use crate::message_ids::MessageIds;
 use crate::names;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure};
@@ -31,6 +32,9 @@ const BATCH_WITHIN: Duration = Duration::from_secs(8);
 /// server's data is detected earlier ([`resend_all`]).
 const ANSWERED_WITHIN_MS: i64 = 24 * 3_600_000;
 
+/// Most windows without an answer that are identified here after [`ANSWERED_WITHIN_MS`], so that the learner is not flooded.
+const MAX_IDENTIFIED_HERE: usize = 1_024;
+
 /// Period of the search for unanswered windows.
 const RESEND_PERIOD: Duration = Duration::from_secs(3_600);
 
@@ -41,8 +45,6 @@ enum SendError {
     Store(#[from] StoreThreadError),
     #[error(transparent)]
     Message(#[from] MessageError),
-    #[error(transparent)]
-    Publish(#[from] PublishFailure),
     #[error("no acknowledgement within {} s", BATCH_WITHIN.as_secs())]
     Late,
 }
@@ -71,19 +73,22 @@ pub async fn run(link: Arc<Link>) {
             true => send_batch(&link, &message_ids).await.map(Some),
             false => Ok(None),
         };
-        let works = matches!(sent, Ok(Some(_)));
+        let works = matches!(sent, Ok(Some(_))) && link.state().refusals.are_own(SENDING);
         link.state().signs.sent(works, Instant::now());
         link.renew_delegation();
         match sent {
-            // A full batch: there may be more.
-            Ok(Some(BATCH)) => {
-                link.works("sending");
-                continue;
+            Ok(Some(is_more)) => {
+                link.works(SENDING);
+                if link.is_stopping() {
+                    return;
+                }
+                if is_more {
+                    continue;
+                }
             }
-            Ok(Some(_)) => link.works("sending"),
             Ok(None) => {}
             Err(why) => {
-                link.failed("sending", &why);
+                link.failed(SENDING, &why);
                 if !link.wait(RETRY_PAUSE).await {
                     return;
                 }
@@ -108,14 +113,25 @@ pub async fn run(link: Arc<Link>) {
     }
 }
 
-/// Makes unanswered windows due again.
+/// Makes unanswered windows due again. Those that stay unanswered are identified here (given_up.rs): the place of their
+/// answers may be taken.
 async fn resend_unanswered(link: &Link) {
-    match link
-        .daemon
-        .fleet()
-        .requeue_unanswered(link.daemon.view().now_ms() - ANSWERED_WITHIN_MS)
-        .await
-    {
+    let (fleet, before_ms) = (
+        link.daemon.fleet(),
+        link.daemon.view().now_ms() - ANSWERED_WITHIN_MS,
+    );
+    match fleet.unanswered(before_ms, 0, MAX_IDENTIFIED_HERE).await {
+        Ok(windows) => {
+            for DueWindow {
+                device, boot, seq, ..
+            } in windows
+            {
+                link.state().oddities.expect_none((device, boot, seq));
+            }
+        }
+        Err(why) => link.failed("store", &why),
+    }
+    match fleet.requeue_unanswered(before_ms).await {
         Ok(0) => {}
         Ok(windows) => {
             tracing::warn!(windows, "never answered by the fleet: they are sent again");
@@ -136,12 +152,21 @@ pub(super) async fn resend_all(link: &Link, why: &str) -> Result<(), StoreThread
     Ok(())
 }
 
-/// Sends a batch and waits for all acknowledgements together; returns the number of due windows. Acknowledged windows are recorded, even if
-/// others fail.
-async fn send_batch(link: &Link, message_ids: &MessageIds) -> Result<usize, SendError> {
-    let due = link.daemon.fleet().due_windows(link.hobs(), BATCH).await?;
-    let count = due.len();
-    let deadline = Instant::now() + BATCH_WITHIN;
+/// Sends a batch and waits for all acknowledgements together; returns `true` if more may be due. Acknowledged windows are recorded, even if
+/// others fail. A hob whose windows are refused is left out of the next batches; it comes back with one window.
+async fn send_batch(link: &Link, message_ids: &MessageIds) -> Result<bool, SendError> {
+    let began = Instant::now();
+    let mut hobs = link.hobs_to_try(SENDING);
+    let (refused, unanswered) = {
+        let refusals = &link.state().refusals;
+        (refusals.hobs(SENDING), refusals.hobs(RESULTS))
+    };
+    hobs.retain(|hob| !unanswered.contains(hob));
+    let mut due = link.daemon.fleet().due_windows(hobs, BATCH).await?;
+    let is_full = due.len() == BATCH;
+    let mut tried = BTreeSet::new();
+    due.retain(|w| !refused.contains(&w.device) || tried.insert(w.device.clone()));
+    let deadline = began + BATCH_WITHIN;
     let mut batch = Batch::default();
     let sending = batch.send(link, message_ids, due);
     let mut failed = match tokio::time::timeout_at(deadline, sending).await {
@@ -149,16 +174,22 @@ async fn send_batch(link: &Link, message_ids: &MessageIds) -> Result<usize, Send
         Err(_) => Some(SendError::Late),
     };
     let mut under_way = std::mem::take(&mut batch.under_way);
-    let record = |(due, what, acknowledged)| {
-        if let Err(why) = batch.record(due, what, acknowledged) {
-            failed = Some(why);
-        }
-    };
+    let record = |(due, what, acknowledged)| batch.record(due, what, acknowledged);
     if !all_until(&mut under_way, deadline, record).await {
         failed = Some(SendError::Late);
     }
+    let is_more = is_full || !batch.refused.is_empty();
+    for hob in batch
+        .accepted
+        .difference(&batch.refused.keys().cloned().collect())
+    {
+        link.accepted(SENDING, hob);
+    }
+    for (hob, why) in &batch.refused {
+        link.refused(SENDING, hob, why, began);
+    }
     batch.note(link).await?;
-    failed.map_or(Ok(count), Err)
+    failed.map_or(Ok(is_more), Err)
 }
 
 /// Sent window with its acknowledgement.
@@ -175,10 +206,13 @@ struct Batch {
     sent: Vec<(DueWindow, DeliveryState)>,
     /// Numbers in the queue, without duplicates.
     numbers: Vec<u64>,
+    accepted: BTreeSet<String>,
+    /// Reason of the first refusal of each hob.
+    refused: BTreeMap<String, PublishFailure>,
 }
 
 impl Batch {
-    /// Sends up to the first failure; damaged windows are given up.
+    /// Sends up to the first failure, of each hob up to its first refusal; damaged windows are given up.
     async fn send(
         &mut self,
         link: &Link,
@@ -186,8 +220,12 @@ impl Batch {
         due: Vec<DueWindow>,
     ) -> Result<(), SendError> {
         for due in due {
+            if self.refused.contains_key(&due.device) {
+                continue;
+            }
             match send(link, message_ids, &due).await {
-                Ok(Some((what, acknowledged))) => {
+                Ok(Some((_, Err(why)))) => self.refuse(due.device, why),
+                Ok(Some((what, Ok(acknowledged)))) => {
                     let acknowledged = async move { (due, what, acknowledged.await) };
                     self.under_way.push(Box::pin(acknowledged));
                 }
@@ -207,7 +245,7 @@ impl Batch {
         due: DueWindow,
         what: DeliveryState,
         acknowledged: Result<Acknowledged, PublishFailure>,
-    ) -> Result<(), SendError> {
+    ) {
         match acknowledged {
             Ok(message) => {
                 if what == DeliveryState::Window && !message.is_duplicate {
@@ -216,10 +254,14 @@ impl Batch {
             }
             // The window has a result already.
             Err(PublishFailure::Occupied) if what == DeliveryState::Result => {}
-            Err(why) => return Err(why.into()),
+            Err(why) => return self.refuse(due.device, why),
         }
+        self.accepted.insert(due.device.clone());
         self.sent.push((due, what));
-        Ok(())
+    }
+
+    fn refuse(&mut self, hob: String, why: PublishFailure) {
+        self.refused.entry(hob).or_insert(why);
     }
 
     /// Stores the acknowledgements; before that, checks whether the queue has begun to count anew.
@@ -245,7 +287,10 @@ impl Batch {
             .filter(|(_, what)| *what == DeliveryState::Window)
         {
             let key = (due.device.clone(), due.boot, due.seq);
-            link.state().answers.insert(key, now);
+            let mut state = link.state();
+            if !state.oddities.is_early(&key) {
+                state.answers.insert(key, now);
+            }
         }
         link.daemon.fleet().mark_sent(self.sent).await
     }
@@ -256,7 +301,7 @@ async fn send(
     link: &Link,
     message_ids: &MessageIds,
     due: &DueWindow,
-) -> Result<Option<(DeliveryState, PendingAck)>, SendError> {
+) -> Result<Option<(DeliveryState, Result<PendingAck, PublishFailure>)>, SendError> {
     let (hob, boot, seq) = (&due.device, due.boot, due.seq);
     let (message, what) = match link.daemon.fleet().read_due(due.clone()).await? {
         OutboxItem::Window(window) => {
@@ -291,8 +336,7 @@ async fn send(
             return Ok(None);
         }
     };
-    let under_way = link.server.publish(message).await?;
-    Ok(Some((what, under_way)))
+    Ok(Some((what, link.server.publish(message).await)))
 }
 
 /// Returns the answer that takes the place of a worker's for a window identified by this edge. The result itself stays in the store.

@@ -6,11 +6,15 @@ use std::time::Duration;
 
 use async_nats::jetstream::Context;
 use ihd_map::library::{Library, LibraryError, MAX_OF_ONE_HOB, PotEntry, Provenance};
+use tokio::time::Instant;
 
 use super::link::{Link, RETRY_PAUSE};
 use crate::clock::now_ms;
 use crate::jetstream::{self, JetStreamError};
 use crate::names;
+
+/// Part of which failures are recorded.
+const PART: &str = "pots";
 
 /// Period of the exchange; the library changes slowly.
 const POLL_PERIOD: Duration = Duration::from_secs(60);
@@ -18,7 +22,7 @@ const POLL_PERIOD: Duration = Duration::from_secs(60);
 /// Exchanges pots until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
     while link
-        .turn("pots", POLL_PERIOD, take_turn(&link, &context))
+        .turn(PART, POLL_PERIOD, take_turn(&link, &context))
         .await
     {}
 }
@@ -29,11 +33,12 @@ async fn take_turn(link: &Link, context: &Context) -> Result<Duration, JetStream
         return Ok(RETRY_PAUSE);
     }
     exchange(link, context).await?;
-    link.works("pots");
+    link.works(PART);
     Ok(POLL_PERIOD)
 }
 
 async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> {
+    let began = Instant::now();
     let there = jetstream::entries(context, names::POTS).await?;
     let mut libraries: BTreeMap<String, Library> = BTreeMap::new();
     for (hob, entry) in &there {
@@ -60,7 +65,10 @@ async fn exchange(link: &Link, context: &Context) -> Result<(), JetStreamError> 
         }
         let bytes = mine.to_bytes();
         if there.get(&hob).is_none_or(|known| known.value != bytes) {
-            jetstream::put(context, names::POTS, &hob, bytes).await?;
+            match jetstream::put(context, names::POTS, &hob, bytes).await {
+                Ok(()) => link.accepted(PART, &hob),
+                Err(why) => link.refused(PART, &hob, &why, began),
+            }
         }
     }
     let mut all = Library::default();

@@ -1,10 +1,14 @@
 //! State of an edge.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use async_nats::Event;
+use tokio::time::Instant;
 
 use super::faults::Faults;
+use super::oddities::Oddities;
+use super::refusals::Refusals;
 use super::trust::{Answers, Signs};
 use crate::standing::Standing;
 
@@ -17,6 +21,11 @@ pub(crate) struct State {
     /// Right of this edge to its name.
     pub standing: Standing,
     pub faults: Faults,
+    /// Hobs of which the server refuses something.
+    pub refusals: Refusals,
+    pub oddities: Oddities,
+    /// Number of ends of each part that ended before the edge.
+    pub ended: BTreeMap<&'static str, u32>,
     pub answers: Answers,
     pub signs: Signs,
 }
@@ -34,6 +43,7 @@ impl State {
     pub fn connect(&mut self) {
         self.connected = true;
         self.away.clear();
+        self.refusals.try_again(Instant::now());
         tracing::info!("the fleet's server answers");
     }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_daemon::simulation::{HobKind, World, start};
+use ihd_daemon::simulation::{HobKind, World, spawn_learner, start};
 use ihd_daemon::{Daemon, DaemonConfig};
 use ihd_link::Window;
 use ihd_model::DeviceState;
@@ -20,13 +20,14 @@ use tokio::time::sleep;
 use super::link::Link;
 use super::lookups::push;
 use super::state::{State, lock};
-use super::{events, outbox};
+use super::{events, given_up, inbox, outbox};
 use crate::lookups::LookupMessage;
 use crate::names;
 use crate::server::FleetServer;
 use crate::simulation::line::SimulatedConnection;
 use crate::simulation::server::ServerMemory;
 use crate::standing::Standing;
+use crate::stream_message::Outgoing;
 use crate::wire::tests::window_message;
 
 /// 2026-11-22T20:00:00Z, some hours before the simulated world begins.
@@ -86,6 +87,25 @@ impl Bench {
         }
     }
 
+    /// Publishes as another key's owner.
+    fn publish(&self, subject: String, number: Option<String>) {
+        let message = Outgoing {
+            subject,
+            payload: "x".into(),
+            number,
+            after: None,
+        };
+        let published = self.memory.disk().publish(self.world.now(), message);
+        assert!(!published.unwrap().is_duplicate);
+    }
+
+    /// Returns the number of messages of a subject.
+    fn count(&self, stream: &str, subject: &str) -> usize {
+        let mut disk = self.memory.disk();
+        let messages = disk.stream(stream).messages.values();
+        messages.filter(|m| m.subject == subject).count()
+    }
+
     async fn until_idle(&self, hob: &str) {
         while self.daemon.view().device(hob).unwrap().state != DeviceState::Idle {
             sleep(Duration::from_millis(100)).await;
@@ -99,7 +119,7 @@ fn fill(folder: &Path, device: &str, at_ms: i64, windows: u32) {
     let opened = Store::open_with_clock(folder, &settings, Arc::new(move || at_ms));
     let mut store = opened.unwrap().store;
     // Events from here on are for the fleet.
-    store.due_events(1).unwrap();
+    store.due_events(None, 1).unwrap();
     let id = store.device(device, "serial:/dev/null").unwrap();
     let hello = ours(ROLE_DEVICE, 1, 7, "ihd-firmware 0.1.0", "sim");
     let front_end = FrontEnd {
@@ -142,17 +162,10 @@ async fn a_damaged_window_and_a_renamed_hob_hold_up_no_other() {
     sleep(Duration::from_secs(20)).await;
     let tally = bench.daemon.fleet().tally().await.unwrap();
     assert_eq!((tally.due, tally.sent, tally.dead), (70, 2, 1), "{tally:?}");
-    {
-        let mut disk = bench.memory.disk();
-        let mut count = |stream: &str, subject: String| {
-            let messages = disk.stream(stream).messages.values();
-            messages.filter(|m| m.subject == subject).count()
-        };
-        assert_eq!(count(names::WINDOWS, names::window("left")), 2);
-        assert_eq!(count(names::WINDOWS, names::window("renamed")), 0);
-        assert!(count(names::EVENTS, names::event("left")) > 0);
-        assert_eq!(count(names::EVENTS, names::event("renamed")), 0);
-    }
+    assert_eq!(bench.count(names::WINDOWS, &names::window("left")), 2);
+    assert_eq!(bench.count(names::WINDOWS, &names::window("renamed")), 0);
+    assert!(bench.count(names::EVENTS, &names::event("left")) > 0);
+    assert_eq!(bench.count(names::EVENTS, &names::event("renamed")), 0);
     assert_eq!(bench.link.failure_text(), "");
     // With its name it is sent.
     let again = bench.daemon.fleet();
@@ -194,4 +207,108 @@ async fn a_lookup_for_a_hob_that_is_away_or_commanded_waits_without_a_command() 
     let commands = reader.audit(50).unwrap();
     let of_fleet = commands.iter().filter(|row| row.holder == "fleet").count();
     assert_eq!(of_fleet, 1, "{commands:?}");
+}
+
+/// "left" has no rights on the server, and more windows and events than a batch, all older than those of "right".
+#[tokio::test(start_paused = true)]
+async fn a_hob_without_rights_stops_no_other_and_is_an_alarm() {
+    let folder = tempfile::tempdir().unwrap();
+    fill(folder.path(), "left", EVENING_MS - DAY_MS, 155);
+    fill(folder.path(), "right", EVENING_MS, 70);
+    let bench = Bench::start(folder).await;
+    bench.memory.disk().refused = ["left".to_owned()].into();
+    tokio::spawn(outbox::run(Arc::clone(&bench.link)));
+    tokio::spawn(events::run(Arc::clone(&bench.link)));
+    sleep(Duration::from_secs(20)).await;
+    let tally = bench.daemon.fleet().tally().await.unwrap();
+    assert_eq!((tally.due, tally.sent), (155, 70), "{tally:?}");
+    assert!(bench.count(names::EVENTS, &names::event("right")) > 0);
+    let alarms = bench.link.alarms();
+    assert!(
+        alarms.len() == 1 && alarms[0].contains("hob left (events, sending)"),
+        "{alarms:?}"
+    );
+    // With its rights everything follows.
+    bench.memory.disk().refused.clear();
+    sleep(Duration::from_secs(90)).await;
+    let tally = bench.daemon.fleet().tally().await.unwrap();
+    assert_eq!((tally.due, tally.sent), (0, 225), "{tally:?}");
+    assert!(bench.count(names::EVENTS, &names::event("left")) > 0);
+    assert_eq!(bench.link.alarms(), [""; 0]);
+    bench.daemon.stop().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_event_does_not_pass_for_another_keys_duplicate() {
+    let folder = tempfile::tempdir().unwrap();
+    fill(folder.path(), "left", EVENING_MS, 1);
+    let bench = Bench::start(folder).await;
+    for number in 1..=300 {
+        let id = format!("kitchen-event-{number}");
+        bench.publish(names::event("elsewhere"), Some(id));
+    }
+    tokio::spawn(events::run(Arc::clone(&bench.link)));
+    sleep(Duration::from_secs(20)).await;
+    assert!(bench.count(names::EVENTS, &names::event("left")) > 0);
+    bench.daemon.stop().await;
+}
+
+/// A worker's key has published results of windows to come: a worker's own answers are refused, and nothing arrives.
+#[tokio::test(start_paused = true)]
+async fn a_window_whose_result_was_put_in_advance_is_identified_here() {
+    let folder = tempfile::tempdir().unwrap();
+    fill(folder.path(), "left", EVENING_MS, 3);
+    let bench = Bench::start(folder).await;
+    let due = bench.daemon.fleet();
+    let due = due.due_windows(vec!["left".to_owned()], 9).await.unwrap();
+    assert_eq!(due.len(), 3);
+    spawn_learner(&bench.daemon);
+    tokio::spawn(inbox::run(Arc::clone(&bench.link)));
+    bench.publish(names::result("left", due[0].boot, 1_000), None);
+    sleep(Duration::from_secs(10)).await;
+    let later = ("left".to_owned(), due[0].boot, 1_000);
+    assert!(bench.link.state().oddities.is_early(&later));
+    let alarms = bench.link.alarms();
+    assert!(
+        alarms.len() == 1 && alarms[0].contains("left"),
+        "{alarms:?}"
+    );
+    for window in &due {
+        let key = (window.device.clone(), window.boot, window.seq);
+        bench.link.state().oddities.expect_none(key);
+    }
+    tokio::spawn(outbox::run(Arc::clone(&bench.link)));
+    tokio::spawn(given_up::run(Arc::clone(&bench.link)));
+    sleep(Duration::from_secs(60)).await;
+    let tally = bench.daemon.fleet().tally().await.unwrap();
+    assert_eq!(
+        (tally.due, tally.sent, tally.answered),
+        (0, 0, 3),
+        "{tally:?}"
+    );
+    bench.daemon.stop().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_that_panics_is_an_alarm_and_begins_anew() {
+    let bench = Bench::start(tempfile::tempdir().unwrap()).await;
+    let (began, starts) = watch::channel(0);
+    let began = Arc::new(began);
+    let run = move |_| {
+        let began = Arc::clone(&began);
+        async move {
+            began.send_modify(|n| *n += 1);
+            assert!(*began.borrow() > 1, "the first time");
+            std::future::pending().await
+        }
+    };
+    tokio::spawn(Arc::clone(&bench.link).keep("cards", run));
+    sleep(Duration::from_secs(10)).await;
+    assert_eq!(*starts.borrow(), 2);
+    let alarms = bench.link.alarms();
+    assert!(
+        alarms.len() == 1 && alarms[0].contains("cards"),
+        "{alarms:?}"
+    );
+    bench.daemon.stop().await;
 }

@@ -1,6 +1,6 @@
 //! Simulated server: streams and the consumers of edge and workers, with the rules of JetStream that the fleet relies on.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -158,6 +158,8 @@ pub struct ServerDisk {
     pub results: Option<Consumer>,
     /// Consumer of the workers.
     pub windows: Consumer,
+    /// Hobs without rights.
+    pub refused: BTreeSet<String>,
     /// Number of former disks; acknowledgements of their messages are ignored.
     pub before: u32,
 }
@@ -174,6 +176,10 @@ impl ServerDisk {
         now: Duration,
         message: Outgoing,
     ) -> Result<Acknowledged, PublishFailure> {
+        let hob = message.subject.split('.').nth(2);
+        if hob.is_some_and(|hob| self.refused.contains(hob)) {
+            return Err(PublishFailure::Other("no responders".to_owned()));
+        }
         let (stream, one_a_subject) = stream_of(&message.subject);
         self.stream(&stream).put(now, message, one_a_subject)
     }

@@ -299,17 +299,49 @@ fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got()
     store.collect_garbage().unwrap();
     live(&mut store, &clock, 2 * DAY_MS);
     assert_eq!(store.count_due().unwrap(), 0);
-    let events = store.due_events(10).unwrap();
+    let (events, _) = store.due_events(None, 10).unwrap();
     assert!(events.is_empty(), "a fleet is told no history: {events:?}");
     let told = ihd_store::StoreReader::open(folder.path()).unwrap();
     let told = told.events(100).unwrap();
     let text = "2 windows of 2026-11-19 that the fleet had not got are deleted: retention";
     assert!(told.iter().any(|event| event.text == text), "{told:?}");
     store.event(None, "store", "later").unwrap();
-    let events = store.due_events(10).unwrap();
-    assert_eq!(events.len(), 1);
-    store.mark_events_sent(events[0].0).unwrap();
-    assert!(store.due_events(10).unwrap().is_empty());
+    let (events, up_to) = store.due_events(None, 10).unwrap();
+    assert_eq!((events.len(), events[0].0), (1, up_to));
+    store.mark_events_sent(&[], Some(up_to)).unwrap();
+    assert!(store.due_events(None, 10).unwrap().0.is_empty());
+}
+
+/// One hob's events are acknowledged, another's are not.
+#[test]
+fn events_of_one_hob_wait_for_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &StoreOptions::default());
+    store.due_events(None, 1).unwrap();
+    let hobs = ["aaa", "test"].map(str::to_owned);
+    for hob in &hobs {
+        let id = store.device(hob, "serial:/dev/null").unwrap();
+        for text in ["first", "second"] {
+            store.event(Some(id), "state", text).unwrap();
+        }
+    }
+    let due = |store: &mut Store, hobs: &[String]| {
+        let (events, up_to) = store.due_events(Some(hobs), 10).unwrap();
+        (
+            events.into_iter().map(|(n, _)| n).collect::<Vec<i64>>(),
+            up_to,
+        )
+    };
+    let (all, up_to) = due(&mut store, &hobs);
+    assert_eq!((all.len(), all[3]), (4, up_to));
+    assert_eq!(due(&mut store, &hobs[1..]).0, all[2..]);
+    store
+        .mark_events_sent(&[("test".to_owned(), all[3])], None)
+        .unwrap();
+    assert_eq!(due(&mut store, &hobs[1..]).0, [0; 0]);
+    assert_eq!(due(&mut store, &hobs).0, all[..2]);
+    store.mark_events_sent(&[], Some(up_to)).unwrap();
+    assert_eq!(due(&mut store, &hobs).0, [0; 0]);
 }
 
 #[test]
