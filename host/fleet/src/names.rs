@@ -53,6 +53,9 @@ pub const BUILD: &str = "build";
 /// Object store of captures.
 pub const CAPTURES: &str = "ihd_captures";
 
+/// Stream of the object store.
+pub const CAPTURES_STREAM: &str = "OBJ_ihd_captures";
+
 /// Returns the subject of a hob's windows.
 pub fn window(hob: impl Display) -> String {
     format!("ihd.{WIRE}.{hob}.window")

@@ -12,7 +12,7 @@ use super::{AccessArgs, server_config, up};
 
 /// Make what a fleet needs on the server: streams, consumers, buckets, with their limits; again after limits or hobs have changed
 ///
-/// Nothing is deleted. What is already there gets the limits that are given, or those built in.
+/// Nothing is deleted: a limit below what is there is refused. A limit that is not given stays as the server has it.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Example: ihd-fleet init --url nats://lab:4222 --threads 8 --edge lab-1=bench,kitchen"
@@ -21,24 +21,24 @@ use super::{AccessArgs, server_config, up};
 pub struct InitArgs {
     #[command(subcommand)]
     server: Option<ServerCommand>,
-    /// Threads of all workers together: twice as many windows may be with workers
-    #[arg(long, value_name = "N", default_value_t = FleetLimits::default().threads)]
-    threads: u32,
-    /// Bytes of windows that may wait for a worker; beyond them edges keep theirs
-    #[arg(long, value_name = "BYTES", default_value_t = FleetLimits::default().windows_bytes)]
-    windows_bytes: i64,
-    /// Bytes of results
-    #[arg(long, value_name = "BYTES", default_value_t = FleetLimits::default().results_bytes)]
-    results_bytes: i64,
-    /// Days that results are kept
-    #[arg(long, value_name = "DAYS", default_value_t = FleetLimits::default().results_days)]
-    results_days: u32,
-    /// Bytes of captures
-    #[arg(long, value_name = "BYTES", default_value_t = FleetLimits::default().captures_bytes)]
-    captures_bytes: i64,
-    /// Copies of everything in a cluster: 1, 3 or 5
-    #[arg(long, value_name = "N", default_value_t = FleetLimits::default().replicas, value_parser = clap::value_parser!(u8).range(1..=5))]
-    replicas: u8,
+    /// Threads of all workers together: twice as many windows may be with workers [new fleet: 64]
+    #[arg(long, value_name = "N")]
+    threads: Option<u32>,
+    /// Bytes of windows that may wait for a worker; beyond them edges keep theirs [new fleet: 4000000000]
+    #[arg(long, value_name = "BYTES")]
+    windows_bytes: Option<i64>,
+    /// Bytes of results [new fleet: 2000000000]
+    #[arg(long, value_name = "BYTES")]
+    results_bytes: Option<i64>,
+    /// Days that results are kept [new fleet: 30]
+    #[arg(long, value_name = "DAYS")]
+    results_days: Option<u32>,
+    /// Bytes of captures [new fleet: 2000000000]
+    #[arg(long, value_name = "BYTES")]
+    captures_bytes: Option<i64>,
+    /// Copies of everything in a cluster: 1, 3 or 5 [new fleet: 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=5))]
+    replicas: Option<u8>,
     /// An edge and its hobs, where its key may not make its own consumer (docs/fleet.md); may be given again
     #[arg(long = "edge", value_name = "EDGE=HOB,…", value_parser = edge)]
     edges: Vec<(String, Vec<String>)>,
@@ -77,27 +77,33 @@ fn edge(text: &str) -> Result<(String, Vec<String>), String> {
 }
 
 impl InitArgs {
+    /// Returns the server's limits with those that are given.
+    fn limits(&self, there: FleetLimits) -> FleetLimits {
+        FleetLimits {
+            threads: self.threads.unwrap_or(there.threads),
+            windows_bytes: self.windows_bytes.unwrap_or(there.windows_bytes),
+            results_bytes: self.results_bytes.unwrap_or(there.results_bytes),
+            results_days: self.results_days.unwrap_or(there.results_days),
+            captures_bytes: self.captures_bytes.unwrap_or(there.captures_bytes),
+            replicas: self.replicas.unwrap_or(there.replicas),
+            ..there
+        }
+    }
+
     pub(super) fn run(&self, access: &AccessArgs, global: &Global) -> Result<()> {
         match &self.server {
             Some(ServerCommand::Up(args)) => return args.run(),
             Some(ServerCommand::ServerConfig(args)) => return args.run(),
             None => {}
         }
-        ensure_usage!(
-            self.replicas % 2 == 1,
-            "--replicas {}: 1, 3 or 5, else half a cluster cannot decide",
-            self.replicas
-        );
-        let limits = FleetLimits {
-            threads: self.threads,
-            windows_bytes: self.windows_bytes,
-            results_bytes: self.results_bytes,
-            results_days: self.results_days,
-            captures_bytes: self.captures_bytes,
-            replicas: self.replicas,
-            ..FleetLimits::default()
-        };
+        if let Some(replicas) = self.replicas {
+            ensure_usage!(
+                replicas % 2 == 1,
+                "--replicas {replicas}: 1, 3 or 5, else half a cluster cannot decide"
+            );
+        }
         access.with(global, async |access, context| {
+            let limits = self.limits(jetstream::limits(&context).await?.unwrap_or_default());
             jetstream::init(&context, &limits).await?;
             for (edge, hobs) in &self.edges {
                 jetstream::init_edge(&context, edge, hobs).await?;
@@ -129,11 +135,61 @@ impl InitArgs {
             say!(
                 "{} is a fleet: windows up to {:.1} GB, results {} days and {:.1} GB, {} edges",
                 access.shown(),
-                1e-9 * self.windows_bytes as f64,
-                self.results_days,
-                1e-9 * self.results_bytes as f64,
+                1e-9 * limits.windows_bytes as f64,
+                limits.results_days,
+                1e-9 * limits.results_bytes as f64,
                 self.edges.len()
             )
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        init: InitArgs,
+    }
+
+    #[test]
+    fn a_limit_that_is_not_given_stays_and_the_help_says_what_a_new_fleet_has() {
+        let there = FleetLimits {
+            results_bytes: 300_000_000,
+            captures_bytes: 3_000_000,
+            ..FleetLimits::default()
+        };
+        let given = Cli::parse_from(["init", "--threads", "8", "--edge", "new=hob"]);
+        let limits = given.init.limits(there.clone());
+        assert_eq!(
+            limits,
+            FleetLimits {
+                threads: 8,
+                ..there
+            }
+        );
+        let help = <Cli as clap::CommandFactory>::command()
+            .render_long_help()
+            .to_string();
+        let new = FleetLimits::default();
+        for (option, number) in [
+            ("--threads", i64::from(new.threads)),
+            ("--windows-bytes", new.windows_bytes),
+            ("--results-bytes", new.results_bytes),
+            ("--results-days", i64::from(new.results_days)),
+            ("--captures-bytes", new.captures_bytes),
+            ("--replicas", i64::from(new.replicas)),
+        ] {
+            let after = help.split(&format!("{option} <")).nth(1).unwrap();
+            let text = after.split("\n      --").next().unwrap();
+            assert!(
+                text.contains(&format!("[new fleet: {number}]")),
+                "{option}: {text}"
+            );
+        }
     }
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use ihd::{ensure_usage, say};
-use ihd_fleet::jetstream::{self, FleetLimits};
+use ihd_fleet::jetstream;
 use ihd_fleet::server_config::{self, EdgeAccount, ServerSettings, Site, TlsFiles};
 use ihd_fleet::{Access, Context};
 use tokio::runtime::Runtime;
@@ -122,7 +122,9 @@ impl UpArgs {
             ..Access::default()
         };
         let context = connected(&access, server).await?;
-        jetstream::init(&context, &FleetLimits::default()).await?;
+        // A restart keeps the limits of its folder.
+        let limits = jetstream::limits(&context).await?.unwrap_or_default();
+        jetstream::init(&context, &limits).await?;
         for edge in &self.edges {
             jetstream::init_edge(&context, &edge.name, &edge.hobs).await?;
         }
