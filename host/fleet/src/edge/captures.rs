@@ -1,30 +1,38 @@
 //! Finished recordings of an edge, uploaded to the fleet's object store.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
 use async_nats::jetstream::Context;
+use tokio::time::Instant;
 
 use super::link::Link;
 use crate::captures;
 use crate::jetstream::JetStreamError;
 use crate::names;
 
+/// Part of which failures are recorded.
+const PART: &str = "captures";
+
+/// Longest pause before a recording is tried again.
+const LONGEST_PAUSE: Duration = Duration::from_secs(3_600);
+
+/// Recordings that failed: time of the next try, and the pause before it.
+type Paused = BTreeMap<String, (Instant, Duration)>;
+
 /// Period of the search for a finished recording.
 const POLL_PERIOD: Duration = Duration::from_secs(10);
 
 /// Uploads each finished recording once, as `EDGE/FILE`, until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
-    let mut there = None;
-    while link
-        .turn(
-            "captures",
-            POLL_PERIOD,
-            take_turn(&link, &context, &mut there),
-        )
-        .await
-    {}
+    let (mut there, mut paused) = (None, Paused::new());
+    loop {
+        let turn = take_turn(&link, &context, &mut there, &mut paused);
+        if !link.turn(PART, POLL_PERIOD, turn).await {
+            return;
+        }
+    }
 }
 
 /// Uploads the recordings that are not `there`, once the fleet's are known; returns the pause before the next search.
@@ -32,6 +40,7 @@ async fn take_turn(
     link: &Link,
     context: &Context,
     there: &mut Option<BTreeSet<String>>,
+    paused: &mut Paused,
 ) -> Result<Duration, JetStreamError> {
     if link.is_admitted() {
         let there = match there {
@@ -41,8 +50,10 @@ async fn take_turn(
                 there.insert(listed.into_iter().map(|c| c.name).collect())
             }
         };
-        upload_new(link, context, there).await?;
-        link.works("captures");
+        upload_new(link, context, there, paused).await?;
+        if paused.is_empty() {
+            link.works(PART);
+        }
     }
     Ok(POLL_PERIOD)
 }
@@ -51,6 +62,7 @@ async fn upload_new(
     link: &Link,
     context: &Context,
     there: &mut BTreeSet<String>,
+    paused: &mut Paused,
 ) -> Result<(), JetStreamError> {
     let recordings = link
         .daemon
@@ -58,15 +70,38 @@ async fn upload_new(
         .list()
         .await
         .map_err(|e| JetStreamError::new(names::CAPTURES, e))?;
+    let names = recordings
+        .iter()
+        .map(|r| format!("{}/{}", link.edge, r.file));
+    let names: BTreeSet<String> = names.collect();
+    paused.retain(|name, _| names.contains(name));
     for recording in recordings.into_iter().filter(|r| !r.under_way) {
         let name = format!("{}/{}", link.edge, recording.file);
         if there.contains(&name) {
             continue;
         }
+        if paused
+            .get(&name)
+            .is_some_and(|(until, _)| Instant::now() < *until)
+        {
+            continue;
+        }
         let path = link.daemon.recordings().folder().join(&recording.file);
-        let bytes = captures::put(context, &path, &name).await?;
-        tracing::info!(name, bytes, "a recording is in the fleet");
-        there.insert(name);
+        match captures::put(context, &path, &name).await {
+            Ok(bytes) => {
+                tracing::info!(name, bytes, "a recording is in the fleet");
+                paused.remove(&name);
+                there.insert(name);
+            }
+            // The others are not held up.
+            Err(why) => {
+                let why = format!("{name}: {}", why.why);
+                link.failed(PART, &why);
+                let before = paused.get(&name).map_or(POLL_PERIOD, |(_, pause)| *pause);
+                let pause = (2 * before).min(LONGEST_PAUSE);
+                paused.insert(name, (Instant::now() + pause, pause));
+            }
+        }
     }
     Ok(())
 }
