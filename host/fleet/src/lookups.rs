@@ -110,13 +110,21 @@ pub async fn history(context: &Context, hob: &str) -> Result<Vec<LookupEntry>, J
 /// Requests that a hob uses a lookup: its edge pushes it. Returns the entry's new revision.
 ///
 /// # Errors
-/// [`JetStreamError`] if the server refuses it or another lookup was put meanwhile.
+/// [`JetStreamError`] if no edge has such a hob, the server refuses it or another lookup was put meanwhile.
 pub async fn request(
     context: &Context,
     hob: &str,
     lookup: &RlLookup,
     by: &str,
 ) -> Result<u64, JetStreamError> {
+    let hobs = jetstream::entries(context, names::HOBS).await?;
+    if !hobs.contains_key(hob) {
+        let known: Vec<&str> = hobs.keys().map(String::as_str).collect();
+        return Err(failed(format!(
+            "no edge has a hob {hob:?}; there are: {}",
+            known.join(", ")
+        )));
+    }
     let bucket = jetstream::bucket(context, names::LOOKUPS).await?;
     let entry = bucket.entry(hob).await.map_err(failed)?;
     let revision = entry.map_or(0, |entry| entry.revision);

@@ -31,6 +31,9 @@ const FORCED_STOP_TIME: Duration = Duration::from_secs(1);
 /// Threads of the server: while one converts a recording or thins out a stream, the other answers.
 const SERVER_THREADS: usize = 2;
 
+/// Error after which a supervisor starts the daemon anew.
+const SERVER_ENDED: &str = "the daemon's server has ended by an error of ihd";
+
 /// Exit code after a second Ctrl-C, as used by shells.
 const INTERRUPTED: i32 = 130;
 
@@ -206,18 +209,25 @@ async fn serve(
     }
     let edge = edge(&daemon, fleet).await;
     let (stop, stopping) = watch::channel(false);
-    let serving = of_server.spawn(server.run(daemon.clone(), stopping));
+    let mut serving = of_server.spawn(server.run(daemon.clone(), stopping));
     let watched = tokio::spawn(supervised::ready_and_alive(daemon.clone()));
     if shows {
         say!("{}", page_text(&page, demonstration.as_ref()))?;
         ui::open(&page);
     }
     let heating = demonstration.map(|d| tokio::spawn(heat_until_taken(daemon.clone(), d)));
-    let signal = signals.next().await;
+    // Without the server no client could switch a hob off.
+    let signal = tokio::select! {
+        signal = signals.next() => Some(signal),
+        _ = &mut serving => None,
+    };
     if let Some(heating) = heating {
         heating.abort();
     }
-    tracing::info!(signal, "stopping: hobs off, windows under way stored");
+    match signal {
+        Some(signal) => tracing::info!(signal, "stopping: hobs off, windows under way stored"),
+        None => tracing::error!("{SERVER_ENDED}: hobs off, windows under way stored"),
+    }
     supervised::stopping();
     watched.abort();
     // Hobs first: they do not wait for connections.
@@ -225,7 +235,9 @@ async fn serve(
         stop.send_replace(true);
         // Hobs do not wait for the fleet.
         tokio::join!(end(edge), daemon.stop());
-        let _ = serving.await;
+        if signal.is_some() {
+            let _ = serving.await;
+        }
     };
     tokio::pin!(ending);
     tokio::select! {
@@ -242,6 +254,7 @@ async fn serve(
             exit(INTERRUPTED);
         }
     }
+    anyhow::ensure!(signal.is_some(), SERVER_ENDED);
     Ok(())
 }
 
