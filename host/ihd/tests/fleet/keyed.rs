@@ -80,18 +80,20 @@ impl Keyed {
         started(&mut command, &self.file("worker.log"))
     }
 
-    /// Starts a daemon with a simulated hob, in the server's folder.
-    fn edge(&self) -> Process {
+    /// Starts a daemon with simulated hobs, in the server's folder.
+    fn edge(&self, hobs: &[&str]) -> Process {
         let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let listen = free.local_addr().unwrap().to_string();
         drop(free);
-        let text = format!(
+        let mut text = format!(
             "store = \"ihd-store\"\nlisten = {listen:?}\ndiscover_usb = false\n\
-             [fleet]\nurl = {:?}\nedge = \"lab-1\"\nnkey_file = {:?}\nca = \"certificate.pem\"\n\
-             [[device]]\nname = \"bench\"\naddress = \"sim\"\n",
+             [fleet]\nurl = {:?}\nedge = \"lab-1\"\nnkey_file = {:?}\nca = \"certificate.pem\"\n",
             self.url(),
             self.key("edge-lab-1"),
         );
+        for hob in hobs {
+            text += &format!("[[device]]\nname = {hob:?}\naddress = \"sim\"\n");
+        }
         fs::write(self.file("ihd.toml"), text).unwrap();
         let mut command = ihd(self.server.folder());
         command
@@ -152,7 +154,7 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     let (text, code) = keyed.fleet("operator", &init);
     assert_eq!(code, 0, "{text}");
 
-    let (_edge, _worker) = (keyed.edge(), keyed.worker());
+    let (_edge, _worker) = (keyed.edge(&["bench"]), keyed.worker());
     keyed.until("edge and worker are seen, and the fleet is trusted", || {
         let status = keyed.status();
         let edge = &status["edges"][0];
@@ -197,6 +199,52 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     // A key that does not exist.
     let (_, code) = keyed.fleet("nobody", &["status"]);
     assert_ne!(code, 0);
+}
+
+/// "aaa" is in ihd.toml, not in nats.conf; "bench" has its rights and is not in `init --edge` at first.
+#[test]
+fn a_hob_without_rights_and_one_that_init_forgot_are_alarms_and_stop_no_other() {
+    let keyed = Keyed::start();
+    let limits = [
+        "--windows-bytes",
+        "100000000",
+        "--results-bytes",
+        "100000000",
+    ];
+    let init = |edge: &str| {
+        let arguments = [
+            &["init", "--captures-bytes", "100000000", "--edge", edge],
+            &limits[..],
+        ];
+        let (text, code) = keyed.fleet("operator", &arguments.concat());
+        assert_eq!(code, 0, "{text}");
+    };
+    init("lab-1=elsewhere");
+    let (_edge, _worker) = (keyed.edge(&["aaa", "bench"]), keyed.worker());
+    let heat = |hob: &str| {
+        let mut heat = ihd(keyed.server.folder());
+        heat.args(["device", hob, "power", "1500", "--for", "3"]);
+        let out = heat.output().unwrap();
+        assert!(out.status.success(), "{out:?} {}", keyed.logs());
+    };
+    keyed.until("an alarm of each", || {
+        let (text, code) = keyed.fleet("operator", &["status", "--check"]);
+        let names = |hob: &str| text.contains(&format!("refuses hob {hob} ("));
+        code == 7 && names("aaa") && text.contains("init --edge lab-1=aaa,bench")
+    });
+    heat("aaa");
+    heat("bench");
+    assert_eq!(keyed.status()["windows"], 0, "{}", keyed.logs());
+    init("lab-1=bench");
+    keyed.until("windows of the one with rights, and its card", || {
+        heat("bench");
+        let status = keyed.status();
+        let hobs = status["devices"].as_array().cloned().unwrap_or_default();
+        status["results"].as_u64() >= Some(1) && hobs.iter().any(|hob| hob["name"] == "bench")
+    });
+    let log = fs::read_to_string(keyed.file("edge.log")).unwrap();
+    let lines = log.lines().filter(|line| line.contains("WARN fleet: "));
+    assert!(lines.count() < 20, "{log}");
 }
 
 /// The first page of docs/fleet.md: one command, and the lines that it prints.

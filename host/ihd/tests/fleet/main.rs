@@ -10,6 +10,7 @@ mod hour;
 mod keyed;
 mod lab;
 mod lies;
+mod limits;
 mod mqtt;
 mod outages;
 #[allow(dead_code, reason = "the daemon's tests use all of it")]
