@@ -186,6 +186,8 @@ mod tests {
         ] {
             let after = help.split(&format!("{option} <")).nth(1).unwrap();
             let text = after.split("\n      --").next().unwrap();
+            // Lines are as wide as the terminal.
+            let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
             assert!(
                 text.contains(&format!("[new fleet: {number}]")),
                 "{option}: {text}"
