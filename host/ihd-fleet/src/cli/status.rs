@@ -313,7 +313,7 @@ mod tests {
             name: name.into(),
             ..FleetEdge::default()
         };
-        let status = |edges: &[&str], age_ms| {
+        let status = |edges: &[&str], age_ms: i64| {
             let report = FleetReport {
                 at_ms: 1_000_000,
                 edges: edges.iter().map(|name| edge(name)).collect(),
