@@ -37,7 +37,6 @@ pub struct CortexM<T> {
     pub target: T,
     control: u32,
     dfsr: u32,
-    demcr: u32,
     dcrdr: u32,
     was_reset: bool,
     stood: bool,
@@ -50,7 +49,6 @@ impl<T: Target> CortexM<T> {
             target,
             control: 0,
             dfsr: 0,
-            demcr: 0,
             dcrdr: 0,
             was_reset: false,
             stood: false,
@@ -66,7 +64,7 @@ impl<T: Target> CortexM<T> {
         match address {
             DHCSR => Ok(self.dhcsr(stop)),
             DFSR => Ok(self.dfsr),
-            DEMCR => Ok(self.demcr),
+            DEMCR => self.target.read(DEMCR, 4),
             DCRDR => Ok(self.dcrdr),
             // Cortex-M4 r0p1, single-precision unit; six breakpoints of revision 0.
             CPUID => Ok(0x410F_C241),
@@ -86,7 +84,7 @@ impl<T: Target> CortexM<T> {
         match address {
             DHCSR => self.set_dhcsr(value),
             DFSR => self.dfsr &= !value,
-            DEMCR => self.demcr = value,
+            DEMCR => return self.target.write(DEMCR, 4, value),
             DCRDR => self.dcrdr = value,
             DCRSR => self.transfer(value),
             AIRCR if value >> 16 == 0x05FA && value & 1 << 2 != 0 => self.reset(),
@@ -102,7 +100,8 @@ impl<T: Target> CortexM<T> {
         self.was_reset = true;
         self.stood = false;
         self.control &= !(C_HALT | C_STEP);
-        if self.demcr & VC_CORERESET != 0 && self.control & C_DEBUGEN != 0 {
+        let catches = self.target.read(DEMCR, 4).unwrap_or(0);
+        if catches & VC_CORERESET != 0 && self.control & C_DEBUGEN != 0 {
             self.target.halt();
             self.stood = true;
             self.dfsr |= DFSR_VCATCH;

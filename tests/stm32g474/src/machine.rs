@@ -234,7 +234,10 @@ impl Machine {
                 .clamp(state.chip.log.now + 1, until.max(state.chip.log.now + 1));
             let ticks_per_cycle = state.chip.ticks_per_cycle();
             let cycles = (next - state.chip.log.now).div_ceil(ticks_per_cycle);
-            state.pass(cycles);
+            if state.sleeping {
+                state.chip.sleep(cycles);
+            }
+            state.wait(cycles);
             return Ok(());
         }
         self.execute(until)

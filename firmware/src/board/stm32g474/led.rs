@@ -35,17 +35,17 @@ const CYCLES_PER_MS: u32 = CORE_MHZ * 1_000;
 /// The LED and its time.
 pub struct Led {
     pin: Output<'static>,
-    /// Cycle counter at the last whole millisecond.
+    /// Cycles of the blocks at the last whole millisecond.
     at: u32,
     ms: u32,
 }
 
 impl Led {
     /// Dark.
-    pub fn new(now: u32) -> Self {
+    pub fn new() -> Self {
         Self {
             pin: low_output(LED_PIN),
-            at: now,
+            at: 0,
             ms: 0,
         }
     }

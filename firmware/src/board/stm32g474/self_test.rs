@@ -185,7 +185,7 @@ impl SelfTest {
     /// Blocks come from here on.
     pub fn begin(&mut self) {
         let now = cycles::now();
-        self.second_at = now;
+        self.second_at = sampled_cycles();
         self.flow = ProgramFlow::new(now, self.counts(0));
         ASKED.signal(());
     }
@@ -242,10 +242,11 @@ impl SelfTest {
             self.checks_clock = false;
             return (!agree).then_some(Fault::CLOCK);
         }
-        if now.wrapping_sub(self.second_at) < SECOND_CYCLES {
+        let sampled = sampled_cycles();
+        if sampled.wrapping_sub(self.second_at) < SECOND_CYCLES {
             return None;
         }
-        self.second_at = now;
+        self.second_at = sampled;
         self.checks_clock = true;
         (!housekeeping.is_lookup_intact()).then_some(Fault::DATA_CRC)
     }

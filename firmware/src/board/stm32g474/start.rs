@@ -81,8 +81,8 @@ fn main() -> ! {
     registers::supply::protect_code();
     if let Some(mut core) = cortex_m::Peripherals::take() {
         registers::supply::guard_stack(&mut core.MPU);
-        cycles::start(core);
     }
+    cycles::keep_running();
     defmt::info!(
         "reset reason {=u8}, fault before it {=u16}; {=u32} MHz",
         reset::reason(flags, last) as u8,
@@ -138,7 +138,7 @@ fn start(
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
     housekeeping.set_log(&LINK_LOG);
     let pages = lookup_pages(p.FLASH, housekeeping);
-    let led = Led::new(cycles::now());
+    let led = Led::new();
     // The thresholds first, then what compares with them, then what could switch on.
     registers::comparators::start();
     defmt::info!("comparators on");
@@ -185,7 +185,7 @@ fn start(
         heartbeat: Heartbeat::default(),
         kept_changes: housekeeping.lookup_changes(),
         self_test,
-        temperatures: TemperatureAdc::start(cycles::now()),
+        temperatures: TemperatureAdc::start(adc::sampled_cycles()),
         fan: low_output(FAN_PIN),
         panel: Panel::new(),
         share_wire: ShareWire::new(),
@@ -321,6 +321,7 @@ impl Board {
     /// Exchanges faults, temperatures and the fan with the hardware after each block.
     fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
         let is_slow_stopped = registers::adc::is_slow_stopped();
+        cycles::keep_running();
         let blocks = path.with(|path| {
             if let Some(fault) = registers::faults::hardware_fault(path) {
                 path.raise(fault);
@@ -332,8 +333,9 @@ impl Board {
         });
         let control = housekeeping.control();
         let (state, fault) = (control.state(), path.with(|path| path.fault()));
-        self.led.show(state, fault, cycles::now());
-        if self.temperatures.after_block(cycles::now()) {
+        let now = adc::sampled_cycles();
+        self.led.show(state, fault, now);
+        if self.temperatures.after_block(now) {
             housekeeping.set_temperatures(self.temperatures.codes());
             if self.temperatures.has_new_reference() {
                 let scale = housekeeping.set_reference(self.temperatures.reference());

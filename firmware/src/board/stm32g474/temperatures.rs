@@ -59,8 +59,8 @@ impl TemperatureAdc {
         }
     }
 
-    /// Takes what was converted and starts the next, once a millisecond; called after each block, with the cycle counter.
-    /// Whether there is something new.
+    /// Takes what was converted and starts the next, once a millisecond; called after each block, with the cycles of the blocks.
+    /// Returns `true` if there is something new.
     pub fn after_block(&mut self, now: u32) -> bool {
         if now.wrapping_sub(self.started_at) < EVERY_CYCLES {
             return false;

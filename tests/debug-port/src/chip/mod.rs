@@ -21,6 +21,7 @@ const PERIPHERALS: Range<u32> = 0x4000_0000..0x6000_0000;
 
 const IDCODE: u32 = 0xE004_2000;
 const DBGMCU_CR: u32 = 0xE004_2004;
+const DEMCR: u32 = 0xE000_EDFC;
 const APB2ENR: u32 = 0x4002_1060;
 const OENR: u32 = 0x4001_6B94;
 const ODISR: u32 = 0x4001_6B98;
@@ -64,6 +65,7 @@ pub struct Chip {
     ram: Vec<u8>,
     ccm: Vec<u8>,
     debug_control: u32,
+    demcr: u32,
     registers: [u32; 32],
     stop: Option<Stop>,
     contact: Contact,
@@ -88,6 +90,7 @@ impl Default for Chip {
             ram: vec![0; RAM.len()],
             ccm: vec![0; CCM.len()],
             debug_control: 0,
+            demcr: 0,
             registers: [0; 32],
             stop: None,
             contact: Contact::Good,
@@ -192,6 +195,7 @@ impl Target for Chip {
         match address {
             IDCODE => Ok(self.id_code),
             DBGMCU_CR => Ok(self.debug_control),
+            DEMCR => Ok(self.demcr),
             APB2ENR => Ok(u32::from(self.timer_clocked) << 26),
             OENR => Ok(if self.timer_clocked { self.outputs } else { 0 }),
             at if (FLASH_ADDRESS..FLASH_ADDRESS + FLASH_BYTES).contains(&at) => {
@@ -214,6 +218,7 @@ impl Target for Chip {
         }
         match address {
             DBGMCU_CR => self.debug_control = value,
+            DEMCR => self.demcr = value,
             ODISR => self.outputs &= !value,
             at if CONTROLLER.contains(&at) => {
                 self.flash.set_register(at, value)?;

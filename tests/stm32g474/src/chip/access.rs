@@ -227,11 +227,12 @@ impl Chip {
 
     /// Reads a register of the processor at an offset from 0xE000_0000.
     pub fn read_system(&mut self, offset: u32) -> u32 {
-        const CYCCNT: u32 = 0x1004;
+        if let Some(word) = self.cycle_counter.read(offset) {
+            return word;
+        }
         match offset {
             // DBGMCU_IDCODE of a category 3 device, revision X (RM0440 47.6.1).
             0x42000 => 0x2003_6469,
-            CYCCNT => (self.cycles - self.cycle_origin) as u32,
             0x4_2004..0x4_3000 => self.file.word(SYSTEM + offset),
             0xE000..0xF000 => {
                 let inside = offset - 0xE000;
@@ -244,10 +245,11 @@ impl Chip {
 
     /// Writes a register of the processor at an offset from 0xE000_0000.
     pub fn write_system(&mut self, offset: u32, bytes: usize, value: u32) {
-        const CYCCNT: u32 = 0x1004;
         const AIRCR: u32 = 0xED0C;
+        if self.cycle_counter.write(offset, value) {
+            return;
+        }
         match offset {
-            CYCCNT => self.cycle_origin = self.cycles - u64::from(value),
             0x4_2004..0x4_3000 => {
                 let address = SYSTEM + offset;
                 if self.file.check_access(address, Some(value), &mut self.log) {

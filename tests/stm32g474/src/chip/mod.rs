@@ -4,6 +4,7 @@ mod access;
 pub mod adc;
 pub mod checksum;
 pub mod clocks;
+pub mod cycle_counter;
 pub mod dma;
 mod fault_levels;
 pub mod flash;
@@ -25,6 +26,7 @@ use crate::violation::Log;
 
 use self::adc::Converter;
 use self::checksum::Checksum;
+use self::cycle_counter::CycleCounter;
 use self::dma::{Dma, Transfer};
 use self::flash::FlashController;
 use self::hrtim::{Bridge, Hrtim};
@@ -131,11 +133,12 @@ pub struct Chip {
     next_usb_poll: Ticks,
     /// Pending reset.
     pub reset: Option<Reset>,
-    /// System registers of the processor, by offset: VTOR, CCR, SHCSR, DEMCR, DWT.
+    /// System registers of the processor, by offset: VTOR, CCR, SHCSR.
     pub system: std::collections::HashMap<u32, u32>,
-    /// Cycles of the processor since power-on, for DWT.
+    /// Cycles since power-on.
     pub cycles: u64,
-    cycle_origin: u64,
+    /// Cycle counter of the processor.
+    pub cycle_counter: CycleCounter,
     ticks_per_cycle: Ticks,
     /// Writes of the DMA to memory, which the machine carries out.
     pub transfers: Vec<Transfer>,
@@ -174,7 +177,7 @@ impl Chip {
             reset: None,
             system: std::collections::HashMap::new(),
             cycles: 0,
-            cycle_origin: 0,
+            cycle_counter: CycleCounter::default(),
             ticks_per_cycle: 85,
             transfers: Vec::new(),
         };
@@ -244,9 +247,19 @@ impl Chip {
         self.dma = Dma::default();
         self.conversions.clear();
         self.system.clear();
+        if why == Reset::Power {
+            self.cycle_counter = CycleCounter::default();
+        }
         self.reset = None;
         self.ticks_per_cycle = clocks::ticks_per_cycle(&self.file);
         self.drive_pins();
+    }
+
+    /// Counts cycles in which the processor sleeps: its clock stops then, unless DBG_SLEEP is set (RM0440, 47.16.1).
+    pub fn sleep(&mut self, cycles: u64) {
+        if self.file.is(reg::dbgmcu::cr::DBG_SLEEP) {
+            self.cycle_counter.run(cycles);
+        }
     }
 
     /// Length of a cycle of the processor in ticks.

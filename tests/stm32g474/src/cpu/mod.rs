@@ -197,8 +197,14 @@ impl State {
         }
     }
 
-    /// Advances time by cycles of the processor.
+    /// Advances time by cycles in which the processor executes.
     pub fn pass(&mut self, cycles: u64) {
+        self.chip.cycle_counter.run(cycles);
+        self.wait(cycles);
+    }
+
+    /// Advances time by cycles in which the processor does not execute.
+    pub fn wait(&mut self, cycles: u64) {
         self.chip.cycles += cycles;
         self.chip.log.now += cycles * self.chip.ticks_per_cycle();
     }

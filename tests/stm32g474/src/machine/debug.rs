@@ -201,7 +201,7 @@ impl Machine {
         let now = state.chip.log.now;
         let next = state.chip.next_event().clamp(now + 1, until.max(now + 1));
         let cycles = (next - now).div_ceil(state.chip.ticks_per_cycle());
-        state.pass(cycles);
+        state.wait(cycles);
     }
 
     /// Halts at a BKPT at one of these addresses, if a debugger is attached; returns `true` if it does.

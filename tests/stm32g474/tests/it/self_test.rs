@@ -334,6 +334,36 @@ fn a_sampling_path_at_half_its_rate_is_found() {
     println!("half the triggers lost: off after {:.1} ms", off_s * 1e3);
 }
 
+/// What a debug probe leaves: DebugCoreStop of CMSIS writes 0 to DEMCR, and probe-rs restores a DBGMCU_CR that was 0 on a blank
+/// chip. Temperatures, fan and buttons stay in time.
+#[test]
+fn a_cycle_counter_that_a_probe_leaves_switched_off_goes_on() {
+    for (register, name) in [(0x4_2004, "DBGMCU_CR"), (0xEDFC, "DEMCR")] {
+        let bench = heating();
+        let conversions = |bench: &Bench| bench.with(|machine| machine.chip().conversions(3));
+        bench.with(move |machine| machine.chip().write_system(register, 4, 0));
+        let before = conversions(&bench);
+        bench.run_s(0.3);
+        let taken: u32 = conversions(&bench).iter().sum::<u32>() - before.iter().sum::<u32>();
+        assert!(taken >= 270, "{name}: {taken} conversions of ADC4");
+        let bridge = bench.with(|machine| machine.chip().pins.bridge());
+        assert!(matches!(bridge, Bridge::Switching { .. }), "{name}");
+        let status = connect(&bench).status().unwrap();
+        assert_eq!(status.fault, Fault::NONE, "{name}");
+    }
+}
+
+#[test]
+fn a_cycle_counter_that_stands_still_is_found() {
+    let bench = heating();
+    let off_s = off_after_s(&bench, 1.0, |machine| {
+        machine.chip().cycle_counter.broken = true;
+    });
+    println!("cycle counter: off after {off_s:.2} s");
+    assert!(off_s < 0.2, "{off_s}");
+    assert_stands(&bench, Fault::PROGRAM_FLOW);
+}
+
 /// Address of the active lookup's cells in the RAM.
 fn active_lookup(machine: &Machine, lookup: &RlLookup) -> u32 {
     let (begin, bytes) = (0x2000_3000, 0x14FE0);
