@@ -178,6 +178,8 @@ fn start(
     let uart = serial_port(p.LPUART1, p.PA3, p.PA2);
     self_test.begin();
     watchdog.unleash();
+    // It counts from 0xFFF, 512 ms, until its own value is loaded (RM0440, IWDG).
+    watchdog.pet();
     defmt::info!("watchdog runs: {=u32} µs", WATCHDOG_US);
     let board = Board {
         watchdog,

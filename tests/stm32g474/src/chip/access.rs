@@ -36,6 +36,9 @@ impl Chip {
             return 0;
         }
         let now = self.log.now;
+        if in_block(aligned, reg::rcc::BASE, 0x400) {
+            self.oscillators.settle(&mut self.file, now);
+        }
         let word = match aligned {
             a if in_block(a, reg::hrtim_master::BASE, 0x400) => self.hrtim.read(a, &self.file, now),
             a if in_block(a, reg::lpuart1::BASE, 0x400) => self.serial.read(a, &self.file),
@@ -48,6 +51,7 @@ impl Chip {
             reg::gpioc::idr::ADDRESS => self.levels(2),
             reg::crc::dr::ADDRESS => self.checksum.read(&self.file),
             a if in_block(a, reg::tim16::BASE, 0x400) => self.read_timer(a),
+            a if in_block(a, reg::iwdg::BASE, 0x400) => self.watchdog.read(a, &self.file, now),
             a if in_block(a, reg::tim2::BASE, 0x400) => {
                 self.timer_2.read(a, self.ticks_per_cycle, &self.file, now)
             }
@@ -94,6 +98,9 @@ impl Chip {
             self.usb.write(aligned - reg::usb_fs_device::BASE, value);
             self.update_lines();
             return;
+        }
+        if in_block(aligned, reg::rcc::BASE, 0x400) {
+            self.oscillators.settle(&mut self.file, self.log.now);
         }
         let before = self.file.word(aligned);
         let shift = 8 * (address & 3);
@@ -145,7 +152,7 @@ impl Chip {
                 value
             }
             a if in_block(a, reg::iwdg::BASE, 0x400) => {
-                if !self.watchdog.write(a, value, self.lsi.hz(), file, log) {
+                if !self.watchdog.write(a, value, self.lsi.hz(), log) {
                     return;
                 }
                 value
@@ -175,7 +182,7 @@ impl Chip {
         let (file, log) = (&mut self.file, &mut self.log);
         match address {
             a if in_block(a, reg::rcc::BASE, 0x400) => {
-                clocks::after_rcc_write(a, before, file, log)
+                clocks::after_rcc_write(a, before, &mut self.oscillators, file, log)
             }
             a if in_block(a, reg::pwr::BASE, 0x400) => clocks::after_pwr_write(file, log),
             reg::rng::cr::ADDRESS => self.random.enable(file, log.now),

@@ -1,7 +1,7 @@
 //! RCC, PWR and the wait states of the flash: frequencies of the clocks, and the order in which they may be changed.
 
 use crate::registers::{Field, REGISTERS, flash, pwr, rcc};
-use crate::time::{TICKS_PER_S, Ticks};
+use crate::time::{TICKS_PER_S, Ticks, us};
 use crate::violation::Log;
 
 use super::register_file::{RegisterFile, clock_of};
@@ -83,35 +83,59 @@ fn reset_of(clock: Field) -> u32 {
     clock.address - 0x20
 }
 
-/// Applies the effects of a stored write to RCC.
-pub fn after_rcc_write(address: u32, before: u32, file: &mut RegisterFile, log: &mut Log) {
-    use rcc::{rcc_bdcr, rcc_cfgr, rcc_cr, rcc_crrcr, rcc_csr};
-    match address {
-        rcc_cr::ADDRESS => {
-            for (on, ready) in [
-                (rcc_cr::HSION, rcc_cr::HSIRDY),
-                (rcc_cr::HSEON, rcc_cr::HSERDY),
-                (rcc_cr::PLLON, rcc_cr::PLLRDY),
-            ] {
-                let is_on = file.get(on);
-                // The boards have no crystal.
-                file.set(ready, if on == rcc_cr::HSEON { 0 } else { is_on });
+/// Enable bit, ready bit and longest start-up of HSI16, PLL, HSI48 and LSI (DS12288: t_su(HSI16), t_LOCK, t_su(HSI48),
+/// t_su(LSI)). HSE is never ready: the boards have no crystal.
+const STARTS: [(Field, Field, Ticks); 4] = [
+    (rcc::rcc_cr::HSION, rcc::rcc_cr::HSIRDY, us(12) / 10),
+    (rcc::rcc_cr::PLLON, rcc::rcc_cr::PLLRDY, us(40)),
+    (rcc::rcc_crrcr::HSI48ON, rcc::rcc_crrcr::HSI48RDY, us(6)),
+    (rcc::rcc_csr::LSION, rcc::rcc_csr::LSIRDY, us(130)),
+];
+
+/// Times from which the clocks of [`STARTS`] are ready.
+#[derive(Clone, Debug, Default)]
+pub struct Oscillators {
+    ready_at: [Ticks; STARTS.len()],
+}
+
+impl Oscillators {
+    /// Brings the ready bits up to date; called before each access to RCC.
+    pub fn settle(&self, file: &mut RegisterFile, now: Ticks) {
+        for ((on, ready, _), &at) in STARTS.into_iter().zip(&self.ready_at) {
+            file.set(ready, u32::from(file.is(on) && now >= at));
+        }
+        file.set(rcc::rcc_cr::HSERDY, 0);
+    }
+
+    fn after_write(&mut self, address: u32, before: u32, file: &mut RegisterFile, now: Ticks) {
+        for ((on, _, start), at) in STARTS.into_iter().zip(&mut self.ready_at) {
+            if on.address == address && file.is(on) && on.extract(before) == 0 {
+                *at = now + start;
             }
         }
+        self.settle(file, now);
+    }
+}
+
+/// Applies the effects of a stored write to RCC.
+pub fn after_rcc_write(
+    address: u32,
+    before: u32,
+    oscillators: &mut Oscillators,
+    file: &mut RegisterFile,
+    log: &mut Log,
+) {
+    use rcc::{rcc_bdcr, rcc_cfgr, rcc_cr, rcc_crrcr, rcc_csr};
+    oscillators.after_write(address, before, file, log.now);
+    match address {
         rcc_cfgr::ADDRESS => switch(before, file, log),
         rcc::rcc_pllcfgr::ADDRESS => {
             if file.is(rcc_cr::PLLON) {
                 log.broken("PLLCFGR written while the PLL is on (RM0440 7.4.4)");
             }
         }
-        rcc_crrcr::ADDRESS => {
-            let on = file.get(rcc_crrcr::HSI48ON);
-            file.set(rcc_crrcr::HSI48RDY, on);
-        }
-        rcc_bdcr::ADDRESS => {}
+        rcc_cr::ADDRESS | rcc_crrcr::ADDRESS | rcc_bdcr::ADDRESS => {}
         rcc_csr::ADDRESS => {
-            let on = file.get(rcc_csr::LSION);
-            file.set(rcc_csr::LSIRDY, on);
             if file.is(rcc_csr::RMVF) {
                 let flags = 0xFE00_0000;
                 file.set_word(address, file.word(address) & !flags & !rcc_csr::RMVF.mask());
@@ -178,14 +202,18 @@ pub fn after_wait_states_write(file: &RegisterFile, log: &mut Log) {
 mod tests {
     use super::*;
 
-    /// Violations in the sequence of RM0440 6.1.5 for 170 MHz, with or without boost mode and the division of HCLK.
-    fn started(boost: bool, divide: bool) -> Vec<String> {
+    /// Violations in the sequence of RM0440 6.1.5 for 170 MHz, with or without boost mode and the division of HCLK; `wait` is the
+    /// time after each write.
+    fn started(boost: bool, divide: bool, wait: Ticks) -> Vec<String> {
         use rcc::{rcc_cfgr, rcc_cr, rcc_pllcfgr};
         let (mut file, mut log) = (RegisterFile::default(), Log::default());
+        let mut oscillators = Oscillators::default();
         let mut write = |field: Field, value: u32| {
             let before = file.word(field.address);
             file.set(field, value);
-            after_rcc_write(field.address, before, &mut file, &mut log);
+            after_rcc_write(field.address, before, &mut oscillators, &mut file, &mut log);
+            log.now += wait;
+            oscillators.settle(&mut file, log.now);
         };
         write(rcc_pllcfgr::PLLM, 3);
         write(rcc_pllcfgr::PLLN, 85);
@@ -195,7 +223,7 @@ mod tests {
         write(rcc_cfgr::HPRE, if divide { 8 } else { 0 });
         write(rcc_cfgr::SW, 3);
         write(rcc_cfgr::HPRE, 0);
-        assert_eq!(hclk_hz(&file), 170_000_000);
+        assert_eq!(hclk_hz(&file) == 170_000_000, wait >= us(40));
         log.violations
             .into_iter()
             .map(|violation| violation.rule)
@@ -204,8 +232,9 @@ mod tests {
 
     #[test]
     fn the_manuals_order_is_taken_and_each_omission_is_found() {
-        assert_eq!(started(true, true), Vec::<String>::new());
-        assert!(started(false, true)[0].contains("R1MODE"));
-        assert!(started(true, false)[0].contains("HPRE"));
+        assert_eq!(started(true, true, us(40)), Vec::<String>::new());
+        assert!(started(false, true, us(40))[0].contains("R1MODE"));
+        assert!(started(true, false, us(40))[0].contains("HPRE"));
+        assert!(started(true, true, us(5))[0].contains("not ready"));
     }
 }

@@ -26,6 +26,7 @@ use crate::violation::Log;
 
 use self::adc::Converter;
 use self::checksum::Checksum;
+use self::clocks::Oscillators;
 use self::cycle_counter::CycleCounter;
 use self::dma::{Dma, Transfer};
 use self::flash::FlashController;
@@ -120,6 +121,7 @@ pub struct Chip {
     trigger_is_lost: bool,
     /// Converters ADC1, 2, 3 and 4.
     adcs: [Converter; 4],
+    oscillators: Oscillators,
     checksum: Checksum,
     capture: Capture,
     timer_2: Timer2,
@@ -165,6 +167,7 @@ impl Chip {
             loses_triggers: false,
             trigger_is_lost: false,
             adcs: [0, 1, 2, ADC4].map(Converter::new),
+            oscillators: Oscillators::default(),
             checksum: Checksum::default(),
             capture: Capture::default(),
             timer_2: Timer2::default(),
@@ -241,6 +244,7 @@ impl Chip {
         self.watchdog = self.watchdog.after_reset();
         self.random = self.random.after_reset();
         self.adcs = [0, 1, 2, ADC4].map(Converter::new);
+        self.oscillators = Oscillators::default();
         self.checksum = Checksum::default();
         self.capture = Capture::default();
         self.timer_2 = Timer2::default();

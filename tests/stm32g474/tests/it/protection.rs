@@ -4,8 +4,8 @@ use ihd_shared::board::TRIP_CURRENT_MA;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
-use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::hrtim::Bridge;
+use ihd_stm32g474::chip::{Chip, Reset};
 use ihd_stm32g474::cpu::CycleModel;
 use ihd_stm32g474::cpu::nvic::NMI;
 use ihd_stm32g474::machine::Machine;
@@ -192,19 +192,45 @@ fn errors_of_the_memories_open_the_bridge_and_are_reported_after_the_reset() {
     }
 }
 
+/// Holds the thread in `b .` at the bottom of the stack, which was never used.
+fn hold_thread(machine: &mut Machine) {
+    machine.set_memory(0x2000_0100, &0xE7FEu16.to_le_bytes());
+    machine.set_pc(0x2000_0100);
+}
+
 #[test]
 fn a_thread_that_stands_still_is_reset_by_the_watchdog() {
     let bench = heating();
     let off_us = time_to_off(&bench, 100, |machine| {
         reach_thread(machine);
-        // `b .` at the bottom of the stack, which was never used.
-        machine.set_memory(0x2000_0100, &0xE7FEu16.to_le_bytes());
-        machine.set_pc(0x2000_0100);
+        hold_thread(machine);
     });
     println!("thread stands still: off after {:.1} ms", off_us / 1e3);
     assert!(off_us < 66_000.0, "{off_us}");
     assert_eq!(resets(&bench), [Reset::Watchdog]);
     assert_eq!(after_reset(&bench).0, 1);
+}
+
+/// Thread that never gets to feed the watchdog: its counter starts from 0xFFF, 512 ms, if it is not reloaded (RM0440, 44.3).
+#[test]
+fn a_thread_that_stands_still_from_the_start_is_reset_by_the_watchdog() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let reset_s = bench.with(|machine| {
+        let runs = |chip: &Chip| chip.hrtim.is_running() && chip.watchdog.bites_at.is_some();
+        while !runs(machine.chip()) {
+            machine.run_for(us(100)).unwrap();
+        }
+        reach_thread(machine);
+        hold_thread(machine);
+        let began = machine.now();
+        while machine.resets.is_empty() && machine.now() < began + us(600_000) {
+            machine.run_for(us(1_000)).unwrap();
+        }
+        seconds(machine.now() - began)
+    });
+    println!("thread stands still from the start: reset after {reset_s:.3} s");
+    assert_eq!(resets(&bench), [Reset::Watchdog]);
+    assert!(reset_s < 0.066, "{reset_s}");
 }
 
 /// Clears a bit by a write, as the program could.
