@@ -31,7 +31,7 @@ const EVERY_CYCLES: u32 = CORE_MHZ * 1_000;
 /// Code of a converter that is silent: an open thermistor, which is a fault.
 const OPEN: u16 = 4_095;
 
-/// Looks at a conversion of 6 µs before the converter is taken to be silent.
+/// Looks at two conversions of 6 µs before the converter is taken to be silent.
 const MAX_POLLS: u32 = 2_000;
 
 /// The converter and what it found.

@@ -56,7 +56,7 @@ impl Chip {
                 self.timer_2.read(a, self.ticks_per_cycle, &self.file, now)
             }
             a => match converter(a) {
-                Some(k) => self.adcs[k].read(a, &mut self.file, now),
+                Some(k) => self.adcs[k].read(a, &mut self.file, &mut self.log),
                 None => self.file.word(a),
             },
         };

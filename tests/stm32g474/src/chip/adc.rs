@@ -27,6 +27,9 @@ const CONVERSION_CYCLES: f64 = 12.5;
 /// Sampling times of SMPx in cycles (RM0440, 21.7.6).
 const SAMPLING_CYCLES: [f64; 8] = [2.5, 6.5, 12.5, 24.5, 47.5, 92.5, 247.5, 640.5];
 
+/// Time after a conversion or the calibration beyond which the result of the next may be wrong (ES0430 2.7.7).
+const IDLE_MAX: Ticks = us(1_000);
+
 /// External trigger 21 of every ADC: hrtim_adc_trg1 (RM0440, tables 163 and 164).
 const HRTIM_TRIGGER_1: u32 = 21;
 
@@ -43,6 +46,9 @@ pub struct Converter {
     /// End of the current conversion; `rank` is the place of the next one in the sequence.
     busy_until: Ticks,
     rank: u32,
+    /// State of the conversion under way, and of the data register: begun after [`IDLE_MAX`].
+    is_late: bool,
+    is_data_late: bool,
     /// Number of conversions of each channel since the last reset.
     pub taken: [u32; 19],
 }
@@ -66,6 +72,8 @@ impl Converter {
             enabled_at: None,
             busy_until: 0,
             rank: 0,
+            is_late: false,
+            is_data_late: false,
             taken: [0; 19],
         }
     }
@@ -95,14 +103,17 @@ impl Converter {
     }
 
     /// Reads a register whose content is computed. Reading DR clears EOC (RM0440 21.7.1).
-    pub fn read(&self, address: u32, file: &mut RegisterFile, now: Ticks) -> u32 {
-        let word = file.word(address);
+    pub fn read(&self, address: u32, file: &mut RegisterFile, log: &mut Log) -> u32 {
+        let (word, now) = (file.word(address), log.now);
         match address - self.base {
             0x00 => {
                 let ready = self.enabled_at.is_some_and(|at| now >= at + us(1));
                 if ready { word | 1 } else { word & !1 }
             }
             0x40 => {
+                if self.is_data_late {
+                    self.refuse_late(log);
+                }
                 file.set(self.field(adc1::isr::EOC), 0);
                 word
             }
@@ -221,12 +232,31 @@ impl Converter {
         value
     }
 
-    /// Ends a conversion that software started: stores the result and clears ADSTART (RM0440 21.4.17).
-    pub fn finish(&self, value: u32, file: &mut RegisterFile) {
-        file.set_word(self.base + 0x40, value);
+    fn refuse_late(&self, log: &mut Log) {
+        log.broken(format!(
+            "{}: a conversion more than 1 ms after the last one, or after the calibration, is used (ES0430 2.7.7)",
+            self.name
+        ));
+    }
+
+    /// Ends a conversion of a sequence that software started; returns `true` if the next one follows. The last one clears ADSTART
+    /// (RM0440 21.4.17); a result that nobody has read is overwritten only with OVRMOD (21.4.26).
+    pub fn finish(&mut self, value: u32, file: &mut RegisterFile) -> bool {
+        let unread = file.is(self.field(adc1::isr::EOC));
+        if !unread || file.is(self.field(adc1::cfgr::OVRMOD)) {
+            file.set_word(self.base + 0x40, value);
+            self.is_data_late = self.is_late;
+        }
+        if unread {
+            file.set(self.field(adc1::isr::OVR), 1);
+        }
         file.set(self.field(adc1::isr::EOC), 1);
+        if self.rank > 0 {
+            return true;
+        }
         file.set(self.field(adc1::isr::EOS), 1);
         file.set(self.field(adc1::cr::ADSTART), 0);
+        false
     }
 
     /// Ends a conversion that a trigger started, with OVRMOD = 1; returns `true` if the DMA is asked to move the result. A result that
@@ -274,11 +304,17 @@ impl Converter {
             2 => self.get(adc1::sqr1::SQ3, file),
             _ => self.get(adc1::sqr1::SQ4, file),
         };
-        if length > 1 && self.get(adc1::cfgr::DISCEN, file) == 0 {
+        let by_trigger = self.get(adc1::cfgr::EXTEN, file) != 0;
+        if by_trigger && length > 1 && self.get(adc1::cfgr::DISCEN, file) == 0 {
             log.broken(format!(
                 "{}: this emulator converts one channel a trigger",
                 self.name
             ));
+        }
+        self.is_late = log.now > self.busy_until.max(self.calibrating_until) + IDLE_MAX;
+        // The DMA moves each result.
+        if self.is_late && by_trigger {
+            self.refuse_late(log);
         }
         self.rank = (self.rank + 1) % length;
         if let Some(taken) = self.taken.get_mut(channel as usize) {
@@ -337,7 +373,7 @@ mod tests {
             let stored = adc.write(adc1::cr::ADDRESS, value, HCLK_HZ, file, log);
             file.set_word(adc1::cr::ADDRESS, stored);
             log.now += us(25);
-            let read = adc.read(adc1::cr::ADDRESS, &mut *file, log.now);
+            let read = adc.read(adc1::cr::ADDRESS, &mut *file, log);
             file.set_word(adc1::cr::ADDRESS, read);
         };
         if !one_write {

@@ -325,7 +325,11 @@ impl Chip {
             let done = self.conversions.swap_remove(k);
             match done.request {
                 Some(request) => self.move_result(request, done.value),
-                None => self.adcs[ADC4].finish(done.value, &mut self.file),
+                None => {
+                    if self.adcs[ADC4].finish(done.value, &mut self.file) {
+                        self.start_adc4();
+                    }
+                }
             }
         }
         if self
@@ -441,7 +445,7 @@ impl Chip {
         self.adcs[adc].taken
     }
 
-    /// Starts ADC4 by software: the level at its pin is sampled at once.
+    /// Starts ADC4 by software, or the next conversion of its sequence: the level at its pin is sampled at once.
     fn start_adc4(&mut self) {
         let hclk_hz = clocks::hclk_hz(&self.file);
         let adc = &mut self.adcs[ADC4];

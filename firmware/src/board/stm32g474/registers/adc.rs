@@ -165,20 +165,25 @@ pub fn start_single(channels: &[u8]) {
     pac::ADC4.cfgr().modify(|w| w.set_ovrmod(Ovrmod::OVERWRITE));
 }
 
-/// Starts one conversion of ADC4. Ignored while one is under way: then ADC_SQR1 may not be written.
+/// Starts two conversions of a channel by ADC4: one that begins more than 1 ms after the last, or after the calibration, may be
+/// wrong, the next is not (ES0430 2.7.7). Ignored while one is under way: then ADC_SQR1 may not be written.
 pub fn convert(channel: u8) {
     if pac::ADC4.cr().read().adstart() {
         return;
     }
     pac::ADC4.sqr1().write(|w| {
-        w.set_l(0);
+        w.set_l(1);
         w.set_sq(0, channel);
+        w.set_sq(1, channel);
     });
     start(pac::ADC4);
 }
 
-/// Takes the conversion of ADC4 since the last call; reading ADC_DR clears EOC.
+/// Takes the second of the two conversions since the last call; EOS, the end of the sequence, is cleared by writing 1.
 pub fn converted() -> Option<u16> {
-    let done = pac::ADC4.isr().read().eoc();
-    done.then(|| pac::ADC4.dr().read().rdata())
+    if !pac::ADC4.isr().read().eos() {
+        return None;
+    }
+    pac::ADC4.isr().write(|w| w.set_eos(true));
+    Some(pac::ADC4.dr().read().rdata())
 }
