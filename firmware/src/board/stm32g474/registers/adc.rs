@@ -1,8 +1,14 @@
 //! ADC1 with ADC2 for pairs, ADC3 for bus and mains, with one trigger for all; ADC4 for temperatures, started by software.
 //!
-//! The clock is HCLK/4 = 42.5 MHz on all of them, synchronous with HRTIM, as erratum ES0430 2.7.11
-//! requires. ADCx_CCR may be written only while the ADCs are off, and comes first: calibration runs at the same
-//! clock, and 60 MHz are the most (DS12288, ADC characteristics, f_ADC).
+//! The clock is HCLK/4 = 42.5 MHz on all of them. ES0430 2.7.11: converters that convert at the same time disturb one another
+//! unless they have one clock and one trigger. Pairs, bus and mains have one trigger, at any phase of the two
+//! dividers, as its period of 3·m/8 cycles is rarely a multiple of 4; ADC4 has none, for 12 µs each millisecond: a trigger
+//! would start it again and again. In a public report (ST's community, "Strangely accurate ADC noise") codes of ADC4 fall to
+//! the next lower xxx11111, by up to 31, 1.6 % of the reference's. The bench has to show which do here (docs/bring-up.md, D8,
+//! E10).
+//!
+//! ADCx_CCR may be written only while the ADCs are off, and comes first: calibration runs at the same clock, and 60 MHz are
+//! the most (DS12288, ADC characteristics, f_ADC).
 
 use embassy_stm32::pac;
 use embassy_stm32::pac::adc::vals::{Dmacfg as OwnDmacfg, Dmaen, Exten, Ovrmod, SampleTime};
