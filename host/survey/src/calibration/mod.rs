@@ -59,6 +59,9 @@ pub struct Calibration {
 /// Key of a capture's metadata that describes the calibration it has.
 pub const METADATA_KEY: &str = "calibration";
 
+/// Name of the plateaus as a reference.
+const BLIND: &str = "blind";
+
 /// Key of a capture's metadata with the standard deviations of that calibration: of the skew in seconds, and of ln of the gains' ratio.
 const SIGMA_KEY: &str = "calibration_sigma";
 
@@ -148,7 +151,7 @@ impl Calibration {
                 skew_s: 0.0,
                 ..alike
             },
-            reference: "blind".to_owned(),
+            reference: BLIND.to_owned(),
             assumed: vec![
                 format!(
                     "no resistance outside the voltage's probe (bridge, shunt, cables): 10 mohm would be {:.0} ns",
@@ -251,8 +254,10 @@ impl Calibration {
                 self.gain_ratio
             ));
         }
-        // A skew that is known to a nanosecond is precise enough, however small it is.
-        if self.skew_sigma_s > self.skew_s.abs() && self.skew_sigma_s > WELL_KNOWN_S {
+        // A skew that is known to a nanosecond is precise enough, however small it is. That of plateaus is uncertain by an assumption, which
+        // is stated, and no longer capture helps.
+        let by_noise = self.reference != BLIND && self.skew_sigma_s > WELL_KNOWN_S;
+        if by_noise && self.skew_sigma_s > self.skew_s.abs() {
             doubts.push(format!(
                 "a skew of {:.1} ± {:.1} ns cannot be told from none: capture longer, with more current or a known r=",
                 self.skew_s * 1e9,
