@@ -490,7 +490,7 @@ fn the_firmwares_dither_is_steps_and_no_sweep() {
 /// Coil of 21 µH and 2.7 ohm with 1080 nF at a half-bridge of 325 V at the crest: harmonics by the impedances.
 fn bridge_at(f_sw_hz: f64) -> Capture {
     use nalgebra::Complex;
-    let harmonics: Vec<(f64, Complex<f64>, Complex<f64>)> = (0..12)
+    let harmonics: Vec<(f64, [Complex<f64>; 2])> = (0..12)
         .map(|k| f64::from(2 * k + 1))
         .map(|n| {
             let omega = std::f64::consts::TAU * n * f_sw_hz;
@@ -498,21 +498,23 @@ fn bridge_at(f_sw_hz: f64) -> Capture {
             let i = 2.0 * 325.0
                 / (std::f64::consts::PI * n)
                 / (coil - Complex::new(0.0, 1.0 / (omega * 1080e-9)));
-            (omega, coil * i, i)
+            (omega, [coil * i, i])
         })
         .collect();
     let dt_s = 0.25e-6;
-    let sample = |k: u32, of: fn(&(f64, Complex<f64>, Complex<f64>)) -> Complex<f64>| {
+    let sample = |k: u32, channel: usize| {
         let t_s = dt_s * f64::from(k);
         let mains = (std::f64::consts::TAU * 50.0 * t_s).sin().abs();
-        let of = |h| (of(h) * Complex::from_polar(1.0, h.0 * t_s)).im;
+        let of = |(omega, h): &(f64, [Complex<f64>; 2])| {
+            (h[channel] * Complex::from_polar(1.0, omega * t_s)).im
+        };
         (mains * harmonics.iter().map(of).sum::<f64>()) as f32
     };
     Capture {
         name: "a bridge".to_owned(),
         time: TimeBase::Even { t0_s: 0.0, dt_s },
-        v_v: (0..80_000).map(|k| sample(k, |h| h.1)).collect(),
-        i_a: (0..80_000).map(|k| sample(k, |h| h.2)).collect(),
+        v_v: (0..80_000).map(|k| sample(k, 0)).collect(),
+        i_a: (0..80_000).map(|k| sample(k, 1)).collect(),
         ..Capture::default()
     }
 }
