@@ -6,7 +6,7 @@ use ihd_signal::Remark;
 pub use ihd_signal::Severity;
 use serde::Serialize;
 
-use super::mains;
+use super::grid;
 
 /// Channel of a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -138,7 +138,7 @@ pub enum Finding {
         /// Frequency used in hertz.
         assumed_hz: f64,
         /// Origin of this frequency.
-        hz_source: mains::MainsSource,
+        hz_source: grid::MainsSource,
         /// Length of the capture in half-cycles of this frequency.
         half_cycles: f64,
         /// (Largest − smallest)/largest of the voltage's amplitude.
@@ -227,6 +227,9 @@ pub enum Finding {
     },
 }
 
+/// Least amplitude of the current's line below f_sw, in percent of that at f_sw: a neighbouring hob's is below 5 %.
+pub(super) const MIN_SUBHARMONIC_PCT: f64 = 10.0;
+
 /// Error of R in percent above which aliasing is a warning: half the accuracy of the firmware's estimator
 /// (docs/accuracy.md).
 const ALIASING_WARNING_PCT: f64 = 1.0;
@@ -250,7 +253,7 @@ impl Finding {
             | Self::Gap { .. }
             | Self::NotFinite { .. }
             | Self::Aliasing { .. } => Severity::Warning,
-            Self::TimeBase { shown_hz, .. } if mains::is_possible(*shown_hz) => Severity::Warning,
+            Self::TimeBase { shown_hz, .. } if grid::is_possible(*shown_hz) => Severity::Warning,
             Self::TimeNotAscending { .. }
             | Self::TimeBase { .. }
             | Self::HarmonicTaken { .. }
@@ -323,7 +326,7 @@ impl Finding {
         Some(match self {
             Self::FrequencyDiffers { specified_hz, .. }
             | Self::MainsDiffers { specified_hz, .. } => *specified_hz,
-            Self::HarmonicTaken { .. } => 100.0 * super::subharmonic::LEAST,
+            Self::HarmonicTaken { .. } => MIN_SUBHARMONIC_PCT,
             Self::Implausible { most, .. } => *most,
             Self::CoarselySampled { .. } => super::COARSE_SAMPLES_PER_PERIOD,
             Self::Aliasing { .. } => ALIASING_WARNING_PCT,
@@ -438,7 +441,7 @@ impl fmt::Display for Finding {
                 modulation,
             } => {
                 let pct = modulation * 100.0;
-                match (*half_cycles < 1.0, *modulation < mains::MIN_MODULATION) {
+                match (*half_cycles < 1.0, *modulation < grid::MIN_MODULATION) {
                     (true, _) => write!(
                         f,
                         "{half_cycles:.2} half-cycles with {pct:.0} % modulation show no mains zero crossing: capture one half-cycle at least"

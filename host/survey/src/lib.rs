@@ -13,6 +13,7 @@ pub mod channel;
 pub mod clipping;
 pub mod error;
 pub mod finding;
+mod grid;
 mod hints;
 pub mod impedance;
 mod lines;

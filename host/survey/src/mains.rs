@@ -12,31 +12,10 @@ use std::ops::RangeInclusive;
 use serde::Serialize;
 
 pub use self::fit::PieceEnvelope;
-use self::fit::{FIRST_LOOK_S, Fit, NOMINAL_HZ, RANGE_HZ, Search, fit};
+use self::fit::{FIRST_LOOK_S, Fit, NOMINAL_HZ, Search, fit};
 use super::finding::Finding;
-
-/// Origin of a number of the mains.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MainsSource {
-    /// Given by the user or stated by the capture.
-    #[serde(rename = "told")]
-    Specified,
-    /// Measured from the envelope.
-    Measured,
-    /// Assumed, because it is neither specified nor measurable.
-    Assumed,
-}
-
-impl std::fmt::Display for MainsSource {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Specified => "given",
-            Self::Measured => "measured",
-            Self::Assumed => "assumed",
-        })
-    }
-}
+pub use super::grid::MainsSource;
+use super::grid::{MIN_MODULATION, RANGE_HZ};
 
 /// Frequency and phase of the mains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -80,9 +59,6 @@ const FREE_HALF_CYCLES: f64 = 1.5;
 /// Half-cycles of 50 Hz below which nothing can be found.
 const MIN_HALF_CYCLES: f64 = 0.4;
 
-/// Depth of modulation below which the bus counts as constant.
-pub(super) const MIN_MODULATION: f64 = 0.3;
-
 /// Difference of frequency in hertz that is reported: more than that of any grid.
 const DIFFERS_HZ: f64 = 1.0;
 
@@ -94,11 +70,6 @@ const MAX_UNEXPLAINED_SHARE: f64 = 1e-3;
 
 /// Spacing of the envelope's points that are used, in seconds.
 const SPACING_S: f64 = 0.15e-3;
-
-/// Returns `true` for a frequency in hertz that the mains of a generator may have.
-pub(super) fn is_possible(hz: f64) -> bool {
-    (RANGE_HZ.0..=RANGE_HZ.1).contains(&hz)
-}
 
 /// Determines frequency and zero crossing: as specified, else from the envelope, else assumed with a finding. `start_s` is the
 /// time of the capture's first sample, `rate_hz` its sampling rate.

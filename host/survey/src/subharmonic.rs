@@ -3,14 +3,11 @@
 use ihd_signal::Capture;
 
 use super::carrier::CarrierPiece;
-use super::finding::Finding;
+use super::finding::{Finding, MIN_SUBHARMONIC_PCT};
 use super::track;
 
 /// Orders that a hob far below its resonance lifts above the fundamental.
 const ORDERS: [u32; 4] = [2, 3, 4, 5];
-
-/// Least amplitude of the current's line, relative to that of the harmonic: a neighbouring hob's is below .05.
-pub(super) const LEAST: f64 = 0.1;
 
 /// Periods of the harmonic in a frame: whole ones of each order.
 const FRAME_PERIODS: f64 = 60.0;
@@ -37,15 +34,15 @@ fn of_piece(capture: &Capture, piece: &CarrierPiece) -> Option<Finding> {
         (sum / i_a.len().max(1) as f64).sqrt()
     };
     let own = rms(piece.f_hz);
-    let of = |order: u32| (order, rms(piece.f_hz / f64::from(order)) / own);
+    let of = |order: u32| (order, 100.0 * rms(piece.f_hz / f64::from(order)) / own);
     let all = ORDERS
         .map(of)
         .into_iter()
-        .filter(|(_, share)| *share > LEAST);
-    let (order, share) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        .filter(|(_, share_pct)| *share_pct > MIN_SUBHARMONIC_PCT);
+    let (order, share_pct) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(Finding::HarmonicTaken {
         f_hz: piece.f_hz,
         order,
-        share_pct: 100.0 * share,
+        share_pct,
     })
 }

@@ -14,9 +14,6 @@ pub struct PieceEnvelope {
     pub level: Vec<f64>,
 }
 
-/// Lowest and highest frequency of a mains, in hertz.
-pub(super) const RANGE_HZ: (f64, f64) = (45.0, 65.0);
-
 /// Nominal frequencies in hertz, between which a short capture can decide.
 pub(super) const NOMINAL_HZ: [f64; 2] = [50.0, 60.0];
 

@@ -1,6 +1,7 @@
 //! Time bases that turn the mains into one that no grid has.
 
-use super::fit::{Fit, Law, NOMINAL_HZ, PieceEnvelope, RANGE_HZ, Search, fit};
+use super::super::grid::RANGE_HZ;
+use super::fit::{Fit, Law, NOMINAL_HZ, PieceEnvelope, Search, fit};
 use super::{Coverage, FREE_HALF_CYCLES, MAX_UNEXPLAINED_SHARE};
 
 /// Largest difference in hertz of a grid from 50 or 60.

@@ -232,6 +232,11 @@ impl Converter {
         value
     }
 
+    /// Counts [`IDLE_MAX`] from now on.
+    pub fn begin_idle(&mut self, now: Ticks) {
+        self.busy_until = self.busy_until.max(now);
+    }
+
     fn refuse_late(&self, log: &mut Log) {
         log.broken(format!(
             "{}: a conversion more than 1 ms after the last one, or after the calibration, is used (ES0430 2.7.7)",

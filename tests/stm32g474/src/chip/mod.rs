@@ -536,6 +536,8 @@ impl Chip {
         let now = self.log.now;
         if !halted {
             self.hrtim.thaw(now);
+            // Triggers that a debugger holds up are no fault of the program.
+            self.adcs.iter_mut().for_each(|adc| adc.begin_idle(now));
         } else if self.file.is(reg::dbgmcu::apb2_fz::DBG_HRTIM0_STOP) {
             self.hrtim.freeze(now);
         }
