@@ -9,7 +9,8 @@ use ihd_store::EventRow;
 use serde::{Deserialize, Serialize};
 use tokio::time::Instant;
 
-use super::link::{Link, RETRY_PAUSE};
+use super::link::Link;
+use super::refusals::RETRY_PAUSE;
 use crate::message_ids::MessageIds;
 use crate::names;
 use crate::stream_message::{Outgoing, PendingAck, PublishFailure};

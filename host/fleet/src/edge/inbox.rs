@@ -10,8 +10,9 @@ use ihd_daemon::learning::WorkerAnswer;
 use ihd_store::FleetMark;
 use tokio::time::Instant;
 
-use super::link::{Link, RESULTS, RETRY_PAUSE};
+use super::link::{Link, RESULTS};
 use super::outbox;
+use super::refusals::RETRY_PAUSE;
 use super::state::lock;
 use super::trust::WindowKey;
 use crate::jetstream::JetStreamError;

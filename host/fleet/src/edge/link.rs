@@ -13,12 +13,10 @@ use ihd_daemon::Daemon;
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
 
+use super::refusals::RETRY_PAUSE;
 use super::state::{State, lock};
 use crate::server::FleetServer;
 use crate::standing::Standing;
-
-/// Pause after a failure, and while the edge is not admitted.
-pub const RETRY_PAUSE: Duration = Duration::from_secs(2);
 
 /// Data shared by the tasks of an edge.
 pub(crate) struct Link {

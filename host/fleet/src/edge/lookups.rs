@@ -14,7 +14,8 @@ use ihd_shared::lookup::RlLookup;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
-use super::link::{Link, RETRY_PAUSE};
+use super::link::Link;
+use super::refusals::RETRY_PAUSE;
 use crate::jetstream;
 use crate::lookups::LookupMessage;
 use crate::names;

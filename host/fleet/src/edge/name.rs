@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use ihd_daemon::fleet::host_name;
 
-use super::link::{Link, RETRY_PAUSE};
+use super::link::Link;
+use super::refusals::RETRY_PAUSE;
 use crate::claims::{self, Claim, ClaimVerdict};
 use crate::jetstream::JetStreamError;
 use crate::message_ids::MessageIds;

@@ -13,7 +13,8 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
 use super::acknowledged::{self, all_until};
-use super::link::{Link, RESULTS, RETRY_PAUSE, SENDING};
+use super::link::{Link, RESULTS, SENDING};
+use super::refusals::RETRY_PAUSE;
 use crate::message_ids::MessageIds;
 use crate::names;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure};

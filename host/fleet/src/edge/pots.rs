@@ -8,7 +8,8 @@ use async_nats::jetstream::Context;
 use ihd_map::library::{Library, LibraryError, MAX_OF_ONE_HOB, PotEntry, Provenance};
 use tokio::time::Instant;
 
-use super::link::{Link, RETRY_PAUSE};
+use super::link::Link;
+use super::refusals::RETRY_PAUSE;
 use crate::clock::now_ms;
 use crate::jetstream::{self, JetStreamError};
 use crate::names;

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::link::RETRY_PAUSE;
+/// Pause after a failure, and while the edge is not admitted.
+pub const RETRY_PAUSE: Duration = Duration::from_secs(2);
 
 /// Longest pause between two tries with a hob that alone is refused.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);

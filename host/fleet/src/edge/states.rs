@@ -8,7 +8,8 @@ use futures_util::StreamExt;
 use ihd_model::{DeviceReport, DeviceState};
 use serde::{Deserialize, Serialize};
 
-use super::link::{Link, RETRY_PAUSE};
+use super::link::Link;
+use super::refusals::RETRY_PAUSE;
 use crate::clock::now_ms;
 use crate::{discovery, names};
 

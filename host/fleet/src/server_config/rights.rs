@@ -102,17 +102,11 @@ pub fn edge(edge: &EdgeAccount) -> Rights {
     rights
 }
 
-/// Adds the rights for the fleet's page: cards, names of edges and lengths of streams; no lookup, no window, no result.
+/// Adds the rights for the fleet's page: cards and lengths of streams; no lookup, no window, no result.
 fn see_fleet(rights: &mut Rights) {
-    let cards = [
-        names::HOBS,
-        names::EDGES,
-        names::WORKER_CARDS,
-        names::CLAIMS,
-    ];
+    let cards = [names::HOBS, names::EDGES, names::WORKER_CARDS];
     rights.services.extend(cards.map(list));
     rights.services.push(info_bucket(names::WORKER_CARDS));
-    rights.services.push(info_bucket(names::CLAIMS));
     let streams = [names::WINDOWS, names::RESULTS, names::EVENTS, names::DEAD];
     rights.services.extend(streams.map(info));
     let workers = format!(
