@@ -5,7 +5,9 @@ use std::io::{Read, Write};
 use std::sync::Arc;
 
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
-use rustls::crypto::{CryptoProvider, ring, verify_tls12_signature, verify_tls13_signature};
+use rustls::crypto::{
+    WebPkiSupportedAlgorithms, ring, verify_tls12_signature, verify_tls13_signature,
+};
 use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
 use rustls::{
     CertificateError, ClientConfig, ClientConnection, DigitallySignedStruct, SignatureScheme,
@@ -30,7 +32,7 @@ impl PinnedConnector {
         let provider = Arc::new(ring::default_provider());
         let verifier = Arc::new(Pinned {
             trusted,
-            provider: provider.clone(),
+            supported: provider.signature_verification_algorithms,
         });
         let config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()?
@@ -122,7 +124,7 @@ impl Transport for PinnedTransport {
 #[derive(Debug)]
 struct Pinned {
     trusted: Vec<CertificateDer<'static>>,
-    provider: Arc<CryptoProvider>,
+    supported: WebPkiSupportedAlgorithms,
 }
 
 impl ServerCertVerifier for Pinned {
@@ -146,8 +148,7 @@ impl ServerCertVerifier for Pinned {
         certificate: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        let supported = &self.provider.signature_verification_algorithms;
-        verify_tls12_signature(message, certificate, signed, supported)
+        verify_tls12_signature(message, certificate, signed, &self.supported)
     }
 
     fn verify_tls13_signature(
@@ -156,13 +157,10 @@ impl ServerCertVerifier for Pinned {
         certificate: &CertificateDer<'_>,
         signed: &DigitallySignedStruct,
     ) -> Result<HandshakeSignatureValid, rustls::Error> {
-        let supported = &self.provider.signature_verification_algorithms;
-        verify_tls13_signature(message, certificate, signed, supported)
+        verify_tls13_signature(message, certificate, signed, &self.supported)
     }
 
     fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
-        self.provider
-            .signature_verification_algorithms
-            .supported_schemes()
+        self.supported.supported_schemes()
     }
 }

@@ -1,4 +1,4 @@
-//! What a fleet reports of those who are not there, and what a daemon does whose fleet's files cannot be used.
+//! Silent edges and hobs in the fleet's status, and a daemon whose files of the fleet cannot be used.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

@@ -334,7 +334,7 @@ fn a_sampling_path_at_half_its_rate_is_found() {
     println!("half the triggers lost: off after {:.1} ms", off_s * 1e3);
 }
 
-/// What a debug probe leaves: DebugCoreStop of CMSIS writes 0 to DEMCR, and probe-rs restores a DBGMCU_CR that was 0 on a blank
+/// Registers as a debug probe leaves them: DebugCoreStop of CMSIS writes 0 to DEMCR, and probe-rs restores a DBGMCU_CR that was 0 on a blank
 /// chip. Temperatures, fan and buttons stay in time.
 #[test]
 fn a_cycle_counter_that_a_probe_leaves_switched_off_goes_on() {
