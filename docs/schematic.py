@@ -36,7 +36,7 @@ V_FULL_SCALE_V = BOARD["sensors"]["coil_voltage_full_scale_mv"] / 1e3
 I_FULL_SCALE_A = BOARD["sensors"]["coil_current_full_scale_ma"] / 1e3
 BUS_FULL_SCALE_V = BOARD["sensors"]["bus_full_scale_dv"] / 10
 I_TRIP_A = BOARD["limits"]["trip_current_ma"] / 1e3
-MAINS_ARMED_CODE = constant("firmware/src/sense/mains.rs", "ARMED_AT")
+MAINS_ARMED_CODE = constant("firmware/src/sense/mains.rs", "ARMING_CODES")
 C_R_NF = BOARD["bridge"]["resonance_capacitance_nf"]
 F_MIN_HZ = BOARD["rating"]["f_sw_min_hz"]
 F_MAX_HZ = BOARD["rating"]["f_sw_max_hz"]
@@ -736,7 +736,7 @@ def legend(s):
     notes = (
         "Chains: 4 resistors 1206, 0.1 %, 200 V each. U3–U5: OPA2365 on +5 V, one half spare, 100 nF each.\n"
         "316 Ω ± 1 % and 1 nF C0G ± 2 % are the anti-alias pole, 503.7 kHz, the same in both channels.\n"
-        "Blue: nets. Green: pins that the firmware reads or drives today..\n"
+        "Blue: nets. Green: pins that the firmware reads or drives today.\n"
         "Arithmetic, errors and what they mean: docs/board.md. Mains parts: a start, no EMC design."
     )
     s.text(668, y + 20, notes, "n", step=17)

@@ -31,6 +31,7 @@ mod regression;
 mod replay;
 mod scenario_table;
 mod scenarios;
+mod schematic;
 mod service;
 mod session_file;
 mod two_zones;
