@@ -4,6 +4,8 @@
 //! saturates, so both fall. Measured tables are noisy, so a little of the wrong way is allowed;
 //! slopes are bounded so that one bad cell cannot make the power control jump. Where an observed
 //! cell meets one that keeps the prior, the two may disagree about the pot: only the slope counts.
+//! Observed cells are one pot's, so each must agree with the next observed one, however many lie between; and what lies between
+//! them is that pot's, too.
 
 use core::fmt;
 
@@ -20,7 +22,8 @@ pub const L_CODES: core::ops::RangeInclusive<u16> = 2_048..=65_433;
 pub const MAX_RATIO_Q10: u32 = 1_638;
 
 /// Largest ratio where an observed cell meets one that is not, in 1/1024: 2.5. That one may keep the prior; a field model
-/// of a full-size pot differs from the prior by 1.7 at small currents, a small pot by 4.
+/// of a full-size pot differs from the prior by 1.7 at small currents, a small pot by 4. Between observed cells
+/// [`MAX_RATIO_Q10`] holds.
 pub const MAX_SEAM_RATIO_Q10: u32 = 2_560;
 
 /// Ratio of a cell to its neighbour in the wrong direction, at most, in 1/1024: 4 %.
@@ -34,13 +37,13 @@ pub enum Implausible {
         /// Index of the cell.
         cell: u16,
     },
-    /// A neighbour with larger index differs by more than [`MAX_RATIO_Q10`], or across a seam by more
-    /// than [`MAX_SEAM_RATIO_Q10`].
+    /// A neighbour with larger index differs by more than [`MAX_RATIO_Q10`], or across a seam at the edge of what was observed by
+    /// more than [`MAX_SEAM_RATIO_Q10`]; or one that lies between observed cells and the next of them do.
     Slope {
         /// Index of the cell.
         cell: u16,
     },
-    /// R or L runs the wrong way towards a neighbour with larger index.
+    /// R or L runs the wrong way towards a neighbour with larger index, or from an observed cell to the next observed one.
     NotMonotone {
         /// Index of the cell.
         cell: u16,
@@ -89,56 +92,92 @@ pub fn check(lookup: &RlLookup) -> Result<(), Implausible> {
     }
     for f in 0..FREQUENCIES {
         for i in 0..CURRENTS {
-            let cell = (f * CURRENTS + i) as u16;
-            let (r, l) = (lookup.r[f][i], lookup.l[f][i]);
-            let seam = |f2, i2| lookup.is_observed(f, i) != lookup.is_observed(f2, i2);
-            if i + 1 < CURRENTS {
-                let falls = if seam(f, i + 1) {
-                    Trend::Seam
-                } else {
-                    Trend::Falls
-                };
-                step(r, lookup.r[f][i + 1], falls, cell)?;
-                step(l, lookup.l[f][i + 1], falls, cell)?;
-            }
-            if f + 1 < FREQUENCIES {
-                let (rises, falls) = if seam(f + 1, i) {
-                    (Trend::Seam, Trend::Seam)
-                } else {
-                    (Trend::Rises, Trend::Falls)
-                };
-                step(r, lookup.r[f + 1][i], rises, cell)?;
-                step(l, lookup.l[f + 1][i], falls, cell)?;
-            }
+            along(lookup, (f, i), Axis::Current)?;
+            along(lookup, (f, i), Axis::Frequency)?;
         }
     }
     Ok(())
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Trend {
-    Rises,
-    Falls,
-    /// Between an observed cell and one that is not: either way, only not too far.
-    Seam,
+enum Axis {
+    Frequency,
+    Current,
 }
 
-fn step(from: u16, to: u16, trend: Trend, cell: u16) -> Result<(), Implausible> {
-    let (low, high) = (u32::from(from.min(to)), u32::from(from.max(to)));
-    let limit = match trend {
-        Trend::Rises | Trend::Falls => MAX_RATIO_Q10,
-        Trend::Seam => MAX_SEAM_RATIO_Q10,
-    };
-    if high << 10 > low * limit {
-        return Err(Implausible::Slope { cell });
+impl Axis {
+    /// The cell so many steps further along the axis, if there is one.
+    fn further(self, (f, i): (usize, usize), steps: usize) -> Option<(usize, usize)> {
+        let (f, i) = match self {
+            Self::Frequency => (f + steps, i),
+            Self::Current => (f, i + steps),
+        };
+        (f < FREQUENCIES && i < CURRENTS).then_some((f, i))
     }
-    let wrong_way = match trend {
-        Trend::Rises => to < from,
-        Trend::Falls => to > from,
-        Trend::Seam => false,
+}
+
+/// Checks a cell against the next one along an axis, and an observed one against the next observed one.
+fn along(lookup: &RlLookup, at: (usize, usize), axis: Axis) -> Result<(), Implausible> {
+    let observed = |(f, i)| lookup.is_observed(f, i);
+    let observed_from = |cell, from: usize| {
+        (from..)
+            .map_while(|steps| Some((steps, axis.further(cell, steps)?)))
+            .find(|&(_, cell)| observed(cell))
     };
-    if wrong_way && high << 10 > low * WRONG_WAY_Q10 {
-        return Err(Implausible::NotMonotone { cell });
+    let Some(next) = axis.further(at, 1) else {
+        return Ok(());
+    };
+    if observed(at) == observed(next) {
+        return compare(lookup, at, next, axis, &Step::Neighbours(1));
+    }
+    if !observed(at) {
+        // What is enclosed was checked from the observed cell before it.
+        return compare(lookup, at, next, axis, &Step::Seam(MAX_SEAM_RATIO_Q10));
+    }
+    let Some((steps, beyond)) = observed_from(at, 2) else {
+        return compare(lookup, at, next, axis, &Step::Seam(MAX_SEAM_RATIO_Q10));
+    };
+    compare(lookup, at, beyond, axis, &Step::Neighbours(steps))?;
+    let last = axis.further(at, steps - 1).unwrap_or(next);
+    compare(lookup, at, next, axis, &Step::Seam(MAX_RATIO_Q10))?;
+    compare(lookup, last, beyond, axis, &Step::Seam(MAX_RATIO_Q10))
+}
+
+enum Step {
+    /// Cells of one pot, so many steps apart.
+    Neighbours(usize),
+    /// An observed cell and one that is not: either way, only not further than this ratio, in 1/1024.
+    Seam(u32),
+}
+
+fn compare(
+    lookup: &RlLookup,
+    from: (usize, usize),
+    to: (usize, usize),
+    axis: Axis,
+    step: &Step,
+) -> Result<(), Implausible> {
+    let cell = (from.0 * CURRENTS + from.1) as u16;
+    for (table, rises) in [(&lookup.r, axis == Axis::Frequency), (&lookup.l, false)] {
+        let (from, to) = (
+            u64::from(table[from.0][from.1]),
+            u64::from(table[to.0][to.1]),
+        );
+        let (low, high) = (from.min(to), from.max(to));
+        let is_within = |ratio_q10: u32| high << 10 <= low * u64::from(ratio_q10);
+        let is_gentle = match *step {
+            Step::Seam(ratio_q10) => is_within(ratio_q10),
+            Step::Neighbours(1) => is_within(MAX_RATIO_Q10),
+            // Each of the steps between is bounded by itself.
+            Step::Neighbours(_) => true,
+        };
+        if !is_gentle {
+            return Err(Implausible::Slope { cell });
+        }
+        let is_wrong_way = if rises { to < from } else { to > from };
+        if matches!(step, Step::Neighbours(_)) && is_wrong_way && !is_within(WRONG_WAY_Q10) {
+            return Err(Implausible::NotMonotone { cell });
+        }
     }
     Ok(())
 }
@@ -185,6 +224,61 @@ mod tests {
         };
         assert_eq!(taught(55), Ok(()));
         assert_eq!(taught(25), Err(Implausible::Slope { cell: 8 }));
+    }
+
+    /// Every neighbour is a seam: R and L twice to two and a half times as large where nothing was observed.
+    #[test]
+    fn marks_on_every_other_cell_permit_no_sawtooth() {
+        let mut checkerboard = prior();
+        for f in 0..FREQUENCIES {
+            for i in 0..CURRENTS {
+                let is_marked = (f + i).is_multiple_of(2);
+                (checkerboard.r[f][i], checkerboard.l[f][i]) = match is_marked {
+                    true => (12_000, 20_000),
+                    false => (29_000, 49_000),
+                };
+                if is_marked {
+                    checkerboard.mark_observed(f, i);
+                }
+            }
+        }
+        assert_eq!(check(&checkerboard), Err(Implausible::Slope { cell: 0 }));
+    }
+
+    /// In no steel does R fall with frequency; here to 0.42 at each step, marks on every other frequency.
+    #[test]
+    fn marks_on_every_other_frequency_permit_no_falling_resistance() {
+        for fall in [2.4, 1.2, 1.03] {
+            let mut falling = prior();
+            for f in 0..FREQUENCIES {
+                for i in 0..CURRENTS {
+                    falling.r[f][i] = (60_000.0 / f64::powi(fall, f as i32)) as u16;
+                    if f.is_multiple_of(2) {
+                        falling.mark_observed(f, i);
+                    }
+                }
+            }
+            assert_eq!(
+                check(&falling),
+                Err(Implausible::NotMonotone { cell: 0 }),
+                "{fall}"
+            );
+        }
+    }
+
+    /// A pot that was measured at 30, 45 and 80 kHz, the rest predicted: R as √f, L falling.
+    #[test]
+    fn one_pot_measured_at_some_frequencies_is_plausible() {
+        let mut pot = prior();
+        for i in 0..CURRENTS {
+            for f in 0..FREQUENCIES {
+                pot.r[f][i] = (u32::from(pot.r[f][i]) * 70 / 100) as u16;
+                if [0, 3, 7].contains(&f) {
+                    pot.mark_observed(f, i);
+                }
+            }
+        }
+        assert_eq!(check(&pot), Ok(()));
     }
 
     #[test]
