@@ -207,6 +207,8 @@ impl Control {
     #[inline(never)]
     pub fn advance(&mut self, lookup: &RlLookup, status: &SamplingStatus) -> Action {
         let requested = status.requested;
+        // A soft limit has raised the request since: what is searched below it would undo that.
+        self.parts.power.keep_search_from(requested.f_sw_hz);
         match self.parts.power.advance(lookup) {
             Some(f_sw_hz) if f_sw_hz != requested.f_sw_hz && requested.is_switching() => {
                 Action::Drive(Drive::switching(f_sw_hz))

@@ -106,6 +106,12 @@ impl PowerControl {
         self.search.is_some()
     }
 
+    /// Drops a search that began from the load at another frequency than this one, in hertz.
+    pub fn keep_search_from(&mut self, f_sw_hz: u32) {
+        self.search
+            .take_if(|search| search.summary.f_sw_hz != f_sw_hz);
+    }
+
     /// Limit that held the power below the request in the last search.
     pub fn limit(&self) -> Limit {
         self.limit
