@@ -40,7 +40,7 @@ scenarios! {
     noise { snr_20 snr_25 snr_30 tolerances }
     objects { cutlery refused rings sandwich sheets smallest }
     panel { host_silent key_lock levels off_wins }
-    plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains glitch mains_hz no_drift off offsets slow_drift stuck supply timing unseen }
+    plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains glitch mains_hz no_drift off offsets sampling_ends sampling_stops slow_drift stuck supply timing unseen }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups person tries }
     sags { dip dropout swell }

@@ -7,19 +7,19 @@
 mod board;
 mod config;
 mod link;
+mod watchdog;
 
 use std::collections::VecDeque;
 
 pub use ihd_firmware::control::request::PanelEvent;
 use ihd_firmware::control::share_wire::WireDrive;
-use ihd_firmware::drive::bridge::Drive;
+use ihd_firmware::drive::bridge::{Bridge, Drive};
 use ihd_firmware::drive::soft_start::{self, SoftStart};
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::identity::DeviceIdentity;
 use ihd_firmware::retained::reset::ResetReason;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
-use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_firmware::sense::bus::{BUS_MEAN, BusReading};
 use ihd_firmware::sense::mains::ZeroCrossingDetector;
 use ihd_firmware::sense::supply::SupplyScale;
@@ -33,6 +33,7 @@ use ihd_signal::truth::{MapTruth, Truth};
 
 use board::{SimulatedBoard, comparator_a, reference};
 pub use config::{BENCH_TRANSFORMER_V, HobConfig};
+use watchdog::Watchdog;
 
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
@@ -56,8 +57,8 @@ const TRUTH_EVERY: usize = 8;
 /// filter of the fault input, gate driver, IGBT.
 const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;
 
-/// Time without feeding after which the board's watchdog resets, in seconds.
-const WATCHDOG_S: f64 = 60e-3;
+/// Time without a block after which the board's sampling watchdog opens both switches, in seconds.
+const SAMPLING_WATCHDOG_S: f64 = 0.5e-3;
 
 /// FLASH_OPTR of a board with correct option bytes: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA) with SRAM_PE, bit
 /// 24, cleared and BOR_LEV, bits 10:8, at 4.
@@ -93,9 +94,7 @@ pub struct SimHob {
     housekeeping: Housekeeping,
     boot_id: u32,
     starts: u8,
-    heartbeat: Heartbeat,
-    fed_s: f64,
-    watchdog_bites: u32,
+    watchdog: Watchdog,
     injections: Injections,
     temperatures: LumpTemperatures,
     ntc: bool,
@@ -144,9 +143,7 @@ impl SimHob {
             housekeeping: booted_housekeeping(boot_id, ResetReason::PowerOn, 1),
             boot_id,
             starts: 1,
-            heartbeat: Heartbeat::default(),
-            fed_s: 0.0,
-            watchdog_bites: 0,
+            watchdog: Watchdog::default(),
             injections: Injections::default(),
             temperatures: LumpTemperatures {
                 contact: config.glass_contact,
@@ -170,6 +167,11 @@ impl SimHob {
 
     /// Simulates one block of 61 samples.
     pub fn step(&mut self) {
+        if self.watchdog.has_given_up() {
+            self.sample();
+            self.take_power_reading();
+            return;
+        }
         let start_s = self.plant.t_s();
         let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
@@ -197,6 +199,11 @@ impl SimHob {
             self.sampling_path.drive()
         } else {
             self.lost = 0;
+            if self.plant.feed_sampling_watchdog(end_s + SAMPLING_WATCHDOG_S)
+                && self.sampling_path.drive().bridge != Bridge::Open
+            {
+                self.sampling_path.raise(Fault::SAMPLES_LOST);
+            }
             self.sampling_path.on_block(&block)
         };
         self.put_in_force(drive);
@@ -227,6 +234,10 @@ impl SimHob {
         if board.restarts {
             self.restart();
         }
+        let blocks = self.sampling_path.blocks();
+        if self.watchdog.bites(blocks, self.plant.t_s()) {
+            self.restart_after(ResetReason::Watchdog);
+        }
     }
 
     /// Passes a drive to the bridge as the board does: both switches open and the lower one closes at once, new periods begin a
@@ -245,6 +256,10 @@ impl SimHob {
 
     /// Restarts the controller as after a reset, with an empty link; pot, mains and temperatures continue.
     pub fn restart(&mut self) {
+        self.restart_after(ResetReason::Software);
+    }
+
+    fn restart_after(&mut self, reason: ResetReason) {
         let (kept, fault) = (
             self.housekeeping.control().retained(),
             self.sampling_path.fault(),
@@ -252,11 +267,14 @@ impl SimHob {
         self.starts = self.starts.saturating_add(1);
         self.boot_id = self.boot_id.wrapping_add(1);
         self.sampling_path = booted_sampling_path();
-        self.housekeeping = booted_housekeeping(self.boot_id, ResetReason::Software, self.starts);
+        self.housekeeping = booted_housekeeping(self.boot_id, reason, self.starts);
         self.housekeeping
             .restore_control(&mut *self.sampling_path, kept, fault);
         self.wire_drive = WireDrive::default();
-        self.heartbeat = Heartbeat::default();
+        self.lost = 0;
+        let t_s = self.plant.t_s();
+        self.watchdog.start(t_s);
+        self.plant.feed_sampling_watchdog(t_s + SAMPLING_WATCHDOG_S);
         self.zero_crossing = ZeroCrossingDetector::default();
         self.inbound.clear();
         self.outbound.clear();
@@ -289,24 +307,25 @@ impl SimHob {
         })
     }
 
-    /// Passes the readings of the board's hardware after a block, and checks the watchdog.
+    /// Passes the readings of the board's hardware after a block.
     fn after_block(&mut self) {
         if self.plant.take_trip() {
             self.sampling_path.raise(Fault::HARDWARE_OVER_CURRENT);
         }
-        if let Some(reading) = self.plant.take_reading() {
-            self.warm_up(&reading);
+        if self.take_power_reading() {
             self.housekeeping.set_reference(reference(&self.injections));
             self.set_comparator();
-            self.reading = Some(reading);
         }
-        let t_s = self.plant.t_s();
-        if self.heartbeat.beat(self.sampling_path.blocks()) {
-            self.fed_s = t_s;
-        } else if t_s - self.fed_s > WATCHDOG_S {
-            self.watchdog_bites += 1;
-            self.fed_s = t_s;
-        }
+    }
+
+    /// Takes the wattmeter's reading of a half-cycle that ended; returns `false` if none did.
+    fn take_power_reading(&mut self) -> bool {
+        let Some(reading) = self.plant.take_reading() else {
+            return false;
+        };
+        self.warm_up(&reading);
+        self.reading = Some(reading);
+        true
     }
 
     /// Updates the temperatures by a half-cycle, and passes the sensors' codes.
@@ -328,7 +347,8 @@ impl SimHob {
                 .base
                 .map(|_| self.plant.temperature_c().unwrap_or(pot.temperature_c)),
         };
-        let fan = self.housekeeping.fan();
+        // A stopped program leaves the fan's pin an input.
+        let fan = self.housekeeping.fan() && !self.watchdog.has_given_up();
         self.temperatures.advance(reading.duration_s, &heat, fan);
         if self.ntc {
             let codes = self.temperatures.codes(&self.injections);
@@ -433,9 +453,9 @@ impl SimHob {
         self.plant.open_since_s()
     }
 
-    /// Number of times that the watchdog would have reset the controller; the simulation continues.
+    /// Number of times that the watchdog has reset the controller.
     pub fn watchdog_bites(&self) -> u32 {
-        self.watchdog_bites
+        self.watchdog.count()
     }
 
     /// The firmware's sampling path, for inspection.

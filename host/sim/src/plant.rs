@@ -25,10 +25,12 @@ use super::recording::settings::LoadKind;
 use super::thermal_model::ThermalModel;
 
 mod half_cycle_meter;
+mod hardware_opening;
 mod load_observer;
 mod pot_on_coil;
 
 use half_cycle_meter::HalfCycleMeter;
+use hardware_opening::HardwareOpening;
 use load_observer::LoadObserver;
 use pot_on_coil::PotOnCoil;
 
@@ -55,6 +57,8 @@ pub struct Plant {
     tripped_s: Option<f64>,
     /// Set if it tripped before the drive opened the bridge, until that is read.
     has_tripped: bool,
+    /// Sampling watchdog and system faults.
+    opening: HardwareOpening,
     /// Time at which both switches opened, in seconds; `None` while one may be closed.
     open_since_s: Option<f64>,
     meter: HalfCycleMeter,
@@ -120,6 +124,7 @@ impl Plant {
             comparator_delay_s: 0.0,
             tripped_s: None,
             has_tripped: false,
+            opening: HardwareOpening::default(),
             open_since_s: Some(0.0),
             meter: HalfCycleMeter::default(),
             observer: LoadObserver::default(),
@@ -139,20 +144,36 @@ impl Plant {
 
     /// Returns `true` while the comparator holds open what the drive closes, and once if it had tripped before the drive opened.
     pub fn take_trip(&mut self) -> bool {
-        let is_held = self.is_tripped() && self.drive.bridge != Bridge::Open;
+        let is_held = self.comparator_since_s().is_some() && self.drive.bridge != Bridge::Open;
         std::mem::take(&mut self.has_tripped) || is_held
     }
 
-    /// Returns `true` while the comparator holds both switches open.
+    /// Time in seconds since when the comparator holds both switches open; `None` while it does not.
+    fn comparator_since_s(&self) -> Option<f64> {
+        self.tripped_s.filter(|at_s| *at_s <= self.t_s())
+    }
+
+    /// Feeds the sampling watchdog, which opens both switches at `due_s` if it is not fed again; returns `true` if it has bitten
+    /// meanwhile. Like a trip, an opening holds until the drive has opened the bridge too.
+    pub fn feed_sampling_watchdog(&mut self, due_s: f64) -> bool {
+        self.opening.feed(self.t_s(), due_s)
+    }
+
+    /// Returns `true` while hardware holds both switches open: comparator, sampling watchdog or system fault.
     pub fn is_tripped(&self) -> bool {
-        self.tripped_s.is_some_and(|at_s| at_s <= self.t_s())
+        self.held_since_s().is_some()
+    }
+
+    /// Time in seconds since when hardware holds both switches open; `None` while it does not.
+    fn held_since_s(&self) -> Option<f64> {
+        let by_others_s = self.opening.since_s(self.t_s());
+        let all = [self.comparator_since_s(), by_others_s];
+        all.into_iter().flatten().reduce(f64::min)
     }
 
     /// Time in seconds since when both switches are open; `None` while one may be closed.
     pub fn open_since_s(&self) -> Option<f64> {
-        self.tripped_s
-            .filter(|_| self.is_tripped())
-            .or(self.open_since_s)
+        self.held_since_s().or(self.open_since_s)
     }
 
     /// Readings of the last complete half-cycle, once.
@@ -264,6 +285,7 @@ impl Plant {
                 self.open_since_s = self.open_since_s().or(Some(self.t_s()));
                 let has_tripped = self.tripped_s.take().is_some();
                 self.has_tripped |= has_tripped && self.drive.bridge != Bridge::Open;
+                self.opening.release();
             }
             Bridge::LowerOn | Bridge::Switching => {
                 // The first switch that closes clears a trip with both open.

@@ -4,6 +4,7 @@ use ihd_firmware::sense::mains::MAINS_DELAY_NS;
 use ihd_shared::board::ANTI_ALIAS_HZ;
 
 use super::*;
+use crate::injection::{FaultChannel, Injection};
 use crate::inverter::supply::SupplyParts;
 
 /// The detector's pair is late by what the firmware takes off. A code's noise is one code, which the mains passes in 1.9 µs.
@@ -37,4 +38,47 @@ fn a_zero_crossing_is_late_by_its_filters() {
             assert!((late_s - expected_s).abs() < 0.5 * dt_s + 5.0 * 1.9e-6);
         }
     }
+}
+
+/// Blocks that stop for a time while the bridge switches.
+fn blocks_lost(hob: &mut SimHob, for_s: f64) {
+    let mut number = 0;
+    hob.inject(|all| {
+        number = all.start(Injection {
+            kind: InjectionKind::LostBlocks,
+            value: 1.0,
+            channel: FaultChannel::Current,
+        });
+    });
+    let until_s = hob.t_s() + for_s;
+    while hob.t_s() < until_s {
+        hob.step();
+    }
+    hob.inject(|all| all.end(number));
+    hob.step();
+}
+
+/// docs/board.md, "Protection": the sampling watchdog needs no software, the other one resets after 60 ms.
+#[test]
+fn without_blocks_the_bridge_opens_after_half_a_millisecond_and_the_program_is_reset() {
+    let heating = || {
+        let mut hob = SimHob::new(&HobConfig::default());
+        hob.panel(PanelEvent::Level(7));
+        while hob.t_s() < 1.0043 {
+            hob.step();
+        }
+        assert!(hob.sampling_path().drive().is_switching());
+        hob
+    };
+    let (mut hob, last_block_s) = (heating(), heating().t_s());
+    blocks_lost(&mut hob, 0.02);
+    assert_eq!(hob.sampling_path().fault(), Fault::SAMPLES_LOST);
+    let off_after_s = hob.open_since_s().unwrap() - last_block_s;
+    assert!((off_after_s - 0.5e-3).abs() < 1e-6, "{off_after_s}");
+    assert_eq!(hob.watchdog_bites(), 0);
+    let mut hob = heating();
+    let boot_id = hob.boot_id;
+    blocks_lost(&mut hob, 0.1);
+    assert_eq!((hob.watchdog_bites(), hob.boot_id), (1, boot_id + 1));
+    assert_eq!(hob.sampling_path().drive(), Drive::OFF);
 }

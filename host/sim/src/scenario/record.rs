@@ -101,7 +101,7 @@ pub struct Summary {
     pub steps: Vec<PowerStep>,
     /// Recoveries after mains and pot events.
     pub recoveries: Vec<Recovery>,
-    /// Number of times that the watchdog would have reset the controller.
+    /// Number of times that the watchdog has reset the controller.
     pub watchdog_bites: u32,
 }
 

@@ -93,7 +93,7 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
         let bites = summary.watchdog_bites;
         let _ = writeln!(
             text,
-            "the watchdog would have reset the controller {bites} times"
+            "the watchdog reset the controller {bites} times"
         );
     }
     let latched = match summary.latched {
