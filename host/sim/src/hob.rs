@@ -434,6 +434,8 @@ impl SimHob {
         change(&mut self.injections);
         let share = self.injections.product(InjectionKind::ResonanceCapacitance);
         self.plant.set_resonance_share(share);
+        self.plant
+            .set_current_sensor(self.injections.current_sensor());
         self.set_comparator();
     }
 

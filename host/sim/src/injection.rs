@@ -12,11 +12,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum InjectionKind {
-    /// Current codes are multiplied by the value.
+    /// The current sensor's gain is multiplied by the value: for converter and comparators.
     CurrentGain,
     /// Voltage codes are multiplied by the value.
     VoltageGain,
-    /// The value is added to the current, in ampere.
+    /// The value is added to the current sensor's output, in ampere.
     CurrentOffset,
     /// The value is added to the voltage, in volt.
     VoltageOffset,
@@ -119,6 +119,33 @@ impl InjectionKind {
     }
 }
 
+/// Output of the current sensor, which feeds converter and comparators: gain times the coil current, plus an offset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CurrentSensor {
+    /// Gain; 1 for a sensor that is right.
+    pub gain: f64,
+    /// Offset in ampere.
+    pub offset_a: f64,
+}
+
+impl Default for CurrentSensor {
+    /// Creates a sensor that is right.
+    fn default() -> Self {
+        Self {
+            gain: 1.0,
+            offset_a: 0.0,
+        }
+    }
+}
+
+impl CurrentSensor {
+    /// Output at a coil current, both in ampere.
+    #[inline]
+    pub fn output_a(&self, i_a: f64) -> f64 {
+        self.gain * i_a + self.offset_a
+    }
+}
+
 /// Active fault.
 #[derive(Clone, Debug)]
 struct ActiveInjection {
@@ -177,6 +204,22 @@ impl Injections {
         for a in &mut self.active {
             a.on_pairs(pairs);
         }
+    }
+
+    /// The current sensor with its faults, in the order in which [`Injections::on_pairs`] applies them.
+    pub fn current_sensor(&self) -> CurrentSensor {
+        let mut sensor = CurrentSensor::default();
+        for Injection { kind, value, .. } in self.active.iter().map(|a| a.injection) {
+            match kind {
+                InjectionKind::CurrentGain => {
+                    sensor.gain *= value;
+                    sensor.offset_a *= value;
+                }
+                InjectionKind::CurrentOffset => sensor.offset_a += value,
+                _ => {}
+            }
+        }
+        sensor
     }
 
     /// Applies the faults to a code of the bus voltage.

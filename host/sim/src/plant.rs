@@ -13,6 +13,7 @@ use super::adc::SimulatedAdc;
 use super::circuit::Circuit;
 use super::contents::PotContents;
 use super::dividers::{DividedVoltages, Dividers};
+use super::injection::CurrentSensor;
 use super::inverter::bridge::SwitchedHalfBridge;
 use super::inverter::bus::Bus;
 use super::inverter::supply::SupplyParts;
@@ -49,8 +50,9 @@ pub struct Plant {
     hold_delay_s: f64,
     drive: Drive,
     inverter: Inverter,
-    /// Coil current in ampere at which the comparator opens both switches; infinite without one.
+    /// Output of the current sensor in ampere at which the comparator opens both switches; infinite without one.
     comparator_a: f64,
+    current_sensor: CurrentSensor,
     /// Time from the comparator's threshold to open switches, in seconds.
     comparator_delay_s: f64,
     /// Time at which the comparator's trip opens the bridge, in seconds; `None` while it is not tripped.
@@ -121,6 +123,7 @@ impl Plant {
             drive,
             inverter,
             comparator_a: f64::INFINITY,
+            current_sensor: CurrentSensor::default(),
             comparator_delay_s: 0.0,
             tripped_s: None,
             has_tripped: false,
@@ -135,6 +138,11 @@ impl Plant {
     /// They stay open until the drive has requested that too.
     pub fn set_comparator(&mut self, trip_a: f64, delay_s: f64) {
         (self.comparator_a, self.comparator_delay_s) = (trip_a, delay_s);
+    }
+
+    /// Sets the current sensor that the comparator sees.
+    pub fn set_current_sensor(&mut self, sensor: CurrentSensor) {
+        self.current_sensor = sensor;
     }
 
     /// Sets the time from the beginning of a sampling period to the hold of both channels, in seconds; less than the period.
@@ -417,6 +425,7 @@ impl Plant {
             adc,
             inverter,
             comparator_a,
+            current_sensor,
             comparator_delay_s,
             tripped_s,
             ..
@@ -427,7 +436,7 @@ impl Plant {
         };
         let done = inverter.run(bridge, steps, |now| {
             adc.advance(now, dt_s);
-            if now.i_a.abs() >= *comparator_a && tripped_s.is_none() {
+            if current_sensor.output_a(now.i_a).abs() >= *comparator_a && tripped_s.is_none() {
                 *tripped_s = Some(now.t_s + *comparator_delay_s);
             }
             seen(now);

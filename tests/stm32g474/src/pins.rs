@@ -209,6 +209,7 @@ impl Pins {
         let bus = code(bus_v / BUS_RANGE_V * CODES) as u16;
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
         let injected = self.injections.has(InjectionKind::ComparatorDead);
+        let sensor = self.injections.current_sensor();
         let dead = self.dead_comparators.map(|dead| dead || injected);
         let mut tripped = [None; 2];
         let mut step = 0;
@@ -219,7 +220,7 @@ impl Pins {
                 let Some(comparator) = comparators[k].filter(|_| !dead[k]) else {
                     continue;
                 };
-                let code = MIDDLE + sign * (i_a + surge_a) / AMPERE_PER_CODE;
+                let code = MIDDLE + sign * (sensor.output_a(i_a) + surge_a) / AMPERE_PER_CODE;
                 let threshold = MIDDLE + (comparator.threshold_code - MIDDLE) * supply;
                 above_s[k] = if code > threshold {
                     above_s[k] + dt_s

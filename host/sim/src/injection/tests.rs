@@ -100,3 +100,20 @@ fn the_bus_is_scaled() {
     assert_eq!(one(InjectionKind::BusScale, 3.0).on_bus(2600), 4095);
     assert_eq!(Injections::default().on_bus(2600), 2600);
 }
+
+#[test]
+fn the_sensor_that_the_comparators_see_is_that_of_the_codes() {
+    let mut injections = one(InjectionKind::CurrentGain, 0.5);
+    injections.start(Injection {
+        kind: InjectionKind::CurrentOffset,
+        value: 100.0 * AMPERE_PER_CODE,
+        channel: FaultChannel::Current,
+    });
+    let mut pairs = [PAIR];
+    injections.on_pairs(&mut pairs);
+    let seen_a = injections
+        .current_sensor()
+        .output_a(f64::from(PAIR.i) * AMPERE_PER_CODE);
+    assert_eq!((seen_a / AMPERE_PER_CODE).round() as i16, pairs[0].i);
+    assert_eq!(pairs[0].i, -156);
+}

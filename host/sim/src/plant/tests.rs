@@ -144,3 +144,29 @@ fn pots_are_exchanged_and_frequency_changed_in_operation() {
         assert!(after.r_ohm < 0.2 * before.r_ohm, "{before:?} {after:?}");
     }
 }
+
+/// docs/board.md, "Pins": one sensor feeds converter and comparators.
+#[test]
+fn the_comparator_sees_the_current_by_its_sensor() {
+    // Lowest current before the trip, on the way down from zero.
+    let trip_at = |gain, offset_a| {
+        let mut plant = at_full_power(LoadKind::Behavioural);
+        let mut currents_a = (0.0f64, 0.0f64);
+        while !(currents_a.0 > 0.0 && currents_a.1 < 0.0) {
+            plant.sample(|i_a| currents_a = (currents_a.1, i_a));
+        }
+        plant.set_current_sensor(CurrentSensor { gain, offset_a });
+        plant.set_comparator(30.0, 0.0);
+        let mut least_a: f64 = 0.0;
+        while !plant.is_tripped() {
+            plant.sample(|i_a| least_a = least_a.min(i_a));
+            assert!(least_a > -35.0, "no trip: {least_a}");
+        }
+        least_a
+    };
+    // 400 V on 16 µH for a step of 82 ns are 2 A.
+    for (gain, offset_a, level_a) in [(1.0, 0.0, -30.0), (1.5, 0.0, -20.0), (1.0, -20.0, -10.0)] {
+        let at_a = trip_at(gain, offset_a);
+        assert!((level_a - 2.5..=level_a).contains(&at_a), "{level_a}: {at_a}");
+    }
+}
