@@ -60,6 +60,9 @@ const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;
 /// Time without a block after which the board's sampling watchdog opens both switches, in seconds.
 const SAMPLING_WATCHDOG_S: f64 = 0.5e-3;
 
+/// Period at which the board converts its thermistors and its reference voltage, in seconds.
+const SLOW_READINGS_S: f64 = 4e-3;
+
 /// FLASH_OPTR of a board with correct option bytes: as delivered (RM0440, "FLASH option register": 0xFFEF F8AA) with SRAM_PE, bit
 /// 24, cleared and BOR_LEV, bits 10:8, at 4.
 const OPTION_BYTES: u32 = 0xFEEF_FCAA;
@@ -103,6 +106,8 @@ pub struct SimHob {
     share_wire: Option<bool>,
     wire_drive: WireDrive,
     reading: Option<MeterReading>,
+    /// Time of the next reading of thermistors and reference voltage, in seconds.
+    next_slow_s: f64,
     /// Number of blocks lost since the last one that arrived.
     lost: u32,
     inbound: VecDeque<u8>,
@@ -154,6 +159,7 @@ impl SimHob {
             share_wire: None,
             wire_drive: WireDrive::default(),
             reading: None,
+            next_slow_s: 0.0,
             lost: 0,
             inbound: VecDeque::new(),
             outbound: VecDeque::new(),
@@ -273,6 +279,7 @@ impl SimHob {
         self.wire_drive = WireDrive::default();
         self.lost = 0;
         let t_s = self.plant.t_s();
+        self.next_slow_s = t_s;
         self.watchdog.start(t_s);
         self.plant.feed_sampling_watchdog(t_s + SAMPLING_WATCHDOG_S);
         self.zero_crossing = ZeroCrossingDetector::default();
@@ -312,23 +319,38 @@ impl SimHob {
         if self.plant.take_trip() {
             self.sampling_path.raise(Fault::HARDWARE_OVER_CURRENT);
         }
-        if self.take_power_reading() {
-            self.housekeeping.set_reference(reference(&self.injections));
-            self.set_comparator();
+        if self.injections.is_supply_low() {
+            self.plant.open_in_hardware();
+            if self.sampling_path.drive().bridge != Bridge::Open {
+                self.sampling_path.raise(Fault::SUPPLY_LOW);
+            }
+        }
+        if self.plant.t_s() >= self.next_slow_s {
+            self.next_slow_s = self.plant.t_s() + SLOW_READINGS_S;
+            self.read_slowly();
+        }
+        self.take_power_reading();
+    }
+
+    /// Passes the codes of thermistors and reference voltage, and corrects the comparators' threshold.
+    fn read_slowly(&mut self) {
+        self.housekeeping.set_reference(reference(&self.injections));
+        self.set_comparator();
+        if self.ntc {
+            let codes = self.temperatures.codes(&self.injections);
+            self.housekeeping.set_temperatures(codes);
         }
     }
 
-    /// Takes the wattmeter's reading of a half-cycle that ended; returns `false` if none did.
-    fn take_power_reading(&mut self) -> bool {
-        let Some(reading) = self.plant.take_reading() else {
-            return false;
-        };
-        self.warm_up(&reading);
-        self.reading = Some(reading);
-        true
+    /// Takes the wattmeter's reading of a half-cycle, if one has ended.
+    fn take_power_reading(&mut self) {
+        if let Some(reading) = self.plant.take_reading() {
+            self.warm_up(&reading);
+            self.reading = Some(reading);
+        }
     }
 
-    /// Updates the temperatures by a half-cycle, and passes the sensors' codes.
+    /// Updates the temperatures by a half-cycle.
     fn warm_up(&mut self, reading: &MeterReading) {
         let pot = self.plant.pot();
         let bus_v = self.plant.mains().peak_v;
@@ -350,10 +372,6 @@ impl SimHob {
         // A stopped program leaves the fan's pin an input.
         let fan = self.housekeeping.fan() && !self.watchdog.has_given_up();
         self.temperatures.advance(reading.duration_s, &heat, fan);
-        if self.ntc {
-            let codes = self.temperatures.codes(&self.injections);
-            self.housekeeping.set_temperatures(codes);
-        }
     }
 
     /// Temperatures of heat sink, glass and coil, for reading and setting.
@@ -436,6 +454,9 @@ impl SimHob {
         self.plant.set_resonance_share(share);
         self.plant
             .set_current_sensor(self.injections.current_sensor());
+        if self.injections.is_supply_low() {
+            self.plant.open_in_hardware();
+        }
         self.set_comparator();
     }
 

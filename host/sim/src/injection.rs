@@ -8,6 +8,12 @@ use ihd_shared::sampling::{
 };
 use serde::{Deserialize, Serialize};
 
+/// Supply of chip and front end without a fault, in volt (docs/board.md, "Scales").
+const NOMINAL_SUPPLY_V: f64 = 3.3;
+
+/// Supply below which the chip's detector (PVD) opens the bridge, in volt (docs/board.md, "Protection").
+const DETECTOR_V: f64 = 2.9;
+
 /// Kind of fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -204,6 +210,16 @@ impl Injections {
         for a in &mut self.active {
             a.on_pairs(pairs);
         }
+    }
+
+    /// Supply of chip and front end, in volt.
+    pub fn supply_v(&self) -> f64 {
+        NOMINAL_SUPPLY_V * self.product(InjectionKind::Supply)
+    }
+
+    /// Returns `true` while the supply is so low that the chip's detector holds the bridge open.
+    pub fn is_supply_low(&self) -> bool {
+        self.supply_v() < DETECTOR_V
     }
 
     /// The current sensor with its faults, in the order in which [`Injections::on_pairs`] applies them.

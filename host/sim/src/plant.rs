@@ -167,6 +167,11 @@ impl Plant {
         self.opening.feed(self.t_s(), due_s)
     }
 
+    /// Opens both switches as a system fault does: at once, and until the drive has opened the bridge too.
+    pub fn open_in_hardware(&mut self) {
+        self.opening.open(self.t_s());
+    }
+
     /// Returns `true` while hardware holds both switches open: comparator, sampling watchdog or system fault.
     pub fn is_tripped(&self) -> bool {
         self.held_since_s().is_some()

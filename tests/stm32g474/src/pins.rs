@@ -20,9 +20,6 @@ use crate::usb::host::HostController;
 /// Bus voltage at the full scale of 12 bit, in volt (docs/board.md: PB1).
 const BUS_RANGE_V: f64 = BUS_FULL_SCALE_DV as f64 / 10.0;
 
-/// Supply at which the front end's scales are specified, in volt (docs/board.md).
-const NOMINAL_VDDA_V: f64 = 3.3;
-
 /// Pins of the panel's buttons: on/off, plus, minus, timer.
 const BUTTONS: [Pin; 4] = [
     board::BUTTON_ON_OFF_PIN,
@@ -166,9 +163,14 @@ impl Pins {
 
     /// 12-bit code of the reference voltage, 1.2122 V, at this supply.
     pub fn reference_code(&self) -> u32 {
-        let vdda_v = NOMINAL_VDDA_V * self.injections.product(InjectionKind::Supply);
+        let vdda_v = self.injections.supply_v();
         let ratio = self.injections.product(InjectionKind::Reference);
         (f64::from(REFERENCE_CALIBRATION) * 3.0 / vdda_v * ratio).round() as u32
+    }
+
+    /// Returns `true` while the injected supply is below the chip's detector.
+    pub fn is_supply_low(&self) -> bool {
+        self.injections.is_supply_low()
     }
 
     /// Levels of a port, 0 for A. A line of the panel is high if it is pulled up and no button closes it; the wire to a second zone

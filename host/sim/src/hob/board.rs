@@ -9,9 +9,8 @@ use ihd_shared::wire::messages::Program;
 
 use crate::injection::{InjectionKind, Injections};
 
-/// Code of the chip's reference voltage at 3.0 V, as its maker found it, and the front end's supply, in volt.
+/// Code of the chip's reference voltage at 3.0 V, as its maker found it.
 const REFERENCE_CALIBRATION: u16 = 1_655;
-const NOMINAL_SUPPLY_V: f64 = 3.3;
 
 /// Coil current at which the comparator opens the bridge, in ampere: its threshold is a share of the supply.
 pub(super) fn comparator_a(scale: SupplyScale, injections: &Injections) -> f64 {
@@ -24,7 +23,7 @@ pub(super) fn comparator_a(scale: SupplyScale, injections: &Injections) -> f64 {
 
 /// Reading of the chip's reference voltage.
 pub(super) fn reference(injections: &Injections) -> Reference {
-    let supply_v = NOMINAL_SUPPLY_V * injections.product(InjectionKind::Supply);
+    let supply_v = injections.supply_v();
     let ratio = injections.product(InjectionKind::Reference);
     let code =
         f64::from(REFERENCE_CALIBRATION) * f64::from(Reference::CALIBRATED_MV) * 1e-3 / supply_v;

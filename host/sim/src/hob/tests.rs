@@ -82,3 +82,39 @@ fn without_blocks_the_bridge_opens_after_half_a_millisecond_and_the_program_is_r
     assert_eq!((hob.watchdog_bites(), hob.boot_id), (1, boot_id + 1));
     assert_eq!(hob.sampling_path().drive(), Drive::OFF);
 }
+
+/// Time in seconds from a fault of supply or reference until both switches are open while it heats, and the fault's number.
+fn off_after_s(kind: InjectionKind, value: f64, at_s: f64) -> (f64, Fault) {
+    let mut hob = SimHob::new(&HobConfig::default());
+    hob.panel(PanelEvent::Level(7));
+    while hob.t_s() < at_s {
+        hob.step();
+    }
+    assert!(hob.sampling_path().drive().is_switching());
+    let t_s = hob.t_s();
+    hob.inject(|all| {
+        all.start(Injection {
+            kind,
+            value,
+            channel: FaultChannel::Current,
+        });
+    });
+    while hob.sampling_path().fault() == Fault::NONE {
+        hob.step();
+        assert!(hob.t_s() < t_s + 0.1);
+    }
+    hob.step();
+    (hob.open_since_s().unwrap() - t_s, hob.sampling_path().fault())
+}
+
+/// docs/board.md: 16 ms from a reference that is off, which is converted every 4 ms; the chip's detector acts at once.
+#[test]
+fn a_wrong_reference_is_found_within_16_ms_and_a_low_supply_at_once() {
+    for at_s in [1.0, 1.0033, 1.0071] {
+        let (late_s, fault) = off_after_s(InjectionKind::Reference, 0.95, at_s);
+        assert_eq!(fault, Fault::SUPPLY_RANGE);
+        assert!((8e-3..16e-3).contains(&late_s), "{late_s}");
+    }
+    let low = off_after_s(InjectionKind::Supply, 0.87, 1.0033);
+    assert_eq!(low, (0.0, Fault::SUPPLY_LOW));
+}
