@@ -43,7 +43,7 @@ scenarios! {
     plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains glitch mains_hz no_drift off offsets sampling_ends sampling_stops slow_drift stuck supply timing unseen }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups person tries }
-    sags { dip dropout swell }
+    sags { dip dropout swell unplugged }
     steps { dither low_mains steps taught }
     temperatures { derating empty_pan glass keep_warm oil over sensors water }
     unattended { boost boost_of_host host level timer touch }

@@ -201,11 +201,14 @@ impl SimHob {
             lost: self.lost,
         };
         let drive = if self.injections.on_block() {
-            self.lost += 1;
+            // After a reset there is no last one.
+            self.lost += u32::from(self.sampling_path.blocks() > 0);
             self.sampling_path.drive()
         } else {
             self.lost = 0;
-            if self.plant.feed_sampling_watchdog(end_s + SAMPLING_WATCHDOG_S)
+            if self
+                .plant
+                .feed_sampling_watchdog(end_s + SAMPLING_WATCHDOG_S)
                 && self.sampling_path.drive().bridge != Bridge::Open
             {
                 self.sampling_path.raise(Fault::SAMPLES_LOST);

@@ -9,6 +9,9 @@ pub struct SimulatedMains {
     pub frequency_hz: f64,
     /// Peak of the bus voltage in volt; 0 without mains.
     pub peak_v: f64,
+    /// `true` while the line is open, as with the plug pulled: no current, and no voltage but what C1 keeps. A voltage of 0 is a
+    /// short circuit behind the line instead.
+    pub is_open: bool,
     /// Distortion: third, fifth and seventh harmonic as a share of the fundamental, in phase at
     /// the zero crossing. A positive third or a negative fifth flattens the top.
     pub harmonics: [f64; 3],
@@ -22,6 +25,7 @@ impl SimulatedMains {
         Self {
             frequency_hz,
             peak_v: ihd_shared::hob::BUS_PEAK_V,
+            is_open: false,
             harmonics: [0.0; 3],
             changed: (0.0, 0.0),
         }

@@ -186,7 +186,7 @@ impl Plant {
 
     /// Time in seconds since when both switches are open; `None` while one may be closed.
     pub fn open_since_s(&self) -> Option<f64> {
-        self.held_since_s().or(self.open_since_s)
+        self.open_since_s.or(self.held_since_s())
     }
 
     /// Readings of the last complete half-cycle, once.
@@ -229,6 +229,13 @@ impl Plant {
     pub fn change_mains(&mut self, v_rms_v: f64, frequency_hz: f64) {
         let changed = self.mains().changed(self.t_s(), v_rms_v, frequency_hz);
         self.set_mains(changed);
+    }
+
+    /// Opens the line of the mains, or closes it again; its phase goes on.
+    pub fn set_line_open(&mut self, is_open: bool) {
+        let mut mains = self.mains();
+        mains.is_open = is_open;
+        self.set_mains(mains);
     }
 
     /// Feeds the bus from a bench supply of this voltage from now on; the mains only feeds its detector.

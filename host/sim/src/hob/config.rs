@@ -25,6 +25,8 @@ pub struct HobConfig {
     pub mains_hz: f64,
     /// Mains voltage in volt rms.
     pub mains_v: f64,
+    /// `true` if the mains' line is open.
+    pub is_line_open: bool,
     /// Parts between mains and bridge.
     pub supply: SupplyParts,
     /// DC voltage of a bench supply that feeds the bus instead of the mains, in volt, as in docs/bring-up.md; the mains'
@@ -66,6 +68,7 @@ impl Default for HobConfig {
         Self {
             mains_hz: f64::from(board::MAINS_FREQUENCY_HZ),
             mains_v: f64::from(board::MAINS_VOLTAGE_V),
+            is_line_open: false,
             supply: SupplyParts::SCHEMATIC,
             bench_supply_v: None,
             ambient_c: AMBIENT_C,
@@ -102,6 +105,7 @@ impl HobConfig {
         };
         let mains = SimulatedMains::new(self.mains_hz).changed(0.0, mains_v, self.mains_hz);
         let mut plant = Plant::assemble(mains, self.pot, self.load, self.supply, adc)?;
+        plant.set_line_open(self.is_line_open);
         if let Some(supply_v) = self.bench_supply_v {
             plant.set_bench_supply(supply_v);
         }

@@ -104,7 +104,10 @@ fn off_after_s(kind: InjectionKind, value: f64, at_s: f64) -> (f64, Fault) {
         assert!(hob.t_s() < t_s + 0.1);
     }
     hob.step();
-    (hob.open_since_s().unwrap() - t_s, hob.sampling_path().fault())
+    (
+        hob.open_since_s().unwrap() - t_s,
+        hob.sampling_path().fault(),
+    )
 }
 
 /// docs/board.md: 16 ms from a reference that is off, which is converted every 4 ms; the chip's detector acts at once.

@@ -29,6 +29,10 @@ pub struct Bus {
 /// schematic's parts. The error of the ringing's period is (this)²/24.
 const LINE_STEP_RAD: f64 = 0.1;
 
+/// Resistance that discharges C1 behind an open line, in ohm: its own 2 × 330 kohm beside one chain of the mains' amplifier, whose
+/// current comes back through a lower diode of the rectifier (docs/schematic.py).
+const TERMINAL_OHM: f64 = 1.0 / (1.0 / 660e3 + 1.0 / 932e3);
+
 /// Charging of the DC link, constant over some steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Charging {
@@ -84,20 +88,29 @@ fn line_step_s(per: &Reciprocals) -> f64 {
 }
 
 impl Line {
-    /// Advances by `dt_s` to a mains of `mains_v`, beside a DC link of `link_v`: currents to the middle of the step, then the
+    /// Advances by `dt_s` to a mains of `mains_v`, `None` behind an open line, beside a DC link of `link_v`: currents to the middle of the step, then the
     /// terminal's voltage by them to its end. Neither damps nor excites, also where steps of different lengths follow each other; the
     /// error of a ringing of period T is (2π dt/T)²/24 of the period.
     fn advance(
         &mut self,
         parts: &SupplyParts,
         per: &Reciprocals,
-        (mains_v, link_v): (f64, f64),
+        (mains_v, link_v): (Option<f64>, f64),
         dt_s: f64,
     ) {
         let currents_s = self.behind_s + 0.5 * dt_s;
         self.behind_s = 0.5 * dt_s;
-        let drop_v = parts.line_r_ohm * self.line_a;
-        self.line_a += currents_s * per.line_l * (mains_v - drop_v - self.terminal_v);
+        let mut terminal_a = 0.0;
+        match mains_v {
+            Some(mains_v) => {
+                let drop_v = parts.line_r_ohm * self.line_a;
+                self.line_a += currents_s * per.line_l * (mains_v - drop_v - self.terminal_v);
+            }
+            None => {
+                self.line_a = 0.0;
+                terminal_a = self.terminal_v / TERMINAL_OHM;
+            }
+        }
         let sign = match self.rectifier_a {
             0.0 => self.terminal_v.signum(),
             i => i.signum(),
@@ -109,7 +122,7 @@ impl Line {
             - parts.rectifier_r_ohm * conducting_a;
         // A current that would reverse ends.
         self.rectifier_a = sign * (conducting_a + currents_s * per.choke_l * across_v).max(0.0);
-        self.terminal_v += dt_s * per.terminal_c * (self.line_a - self.rectifier_a);
+        self.terminal_v += dt_s * per.terminal_c * (self.line_a - self.rectifier_a - terminal_a);
     }
 }
 
@@ -169,7 +182,10 @@ impl Bus {
         if self.has_line() {
             self.line.terminal_v
         } else {
-            self.mains.mains_v(t_s)
+            match self.mains.is_open {
+                true => 0.0,
+                false => self.mains.mains_v(t_s),
+            }
         }
     }
 
@@ -182,7 +198,7 @@ impl Bus {
     pub fn advance(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
         self.v = match self.supply_v {
             Some(supply_v) => supply_v,
-            None if self.parts.link_capacitance_f == 0.0 => self.mains_v(t_s).abs(),
+            None if self.parts.link_capacitance_f == 0.0 => self.line_v(t_s).unwrap_or(0.0).abs(),
             None => self.charge(t_s, dt_s, i_a),
         };
         self.v
@@ -204,7 +220,7 @@ impl Bus {
         }
         let steps = steps.min(1 + (self.line_step_s / dt_s) as usize);
         let over_s = steps as f64 * dt_s;
-        let voltages = (self.mains_v(t_s), self.v);
+        let voltages = (self.line_v(t_s), self.v);
         self.line.advance(&self.parts, &self.per, voltages, over_s);
         Some(Charging {
             steps,
@@ -230,16 +246,16 @@ impl Bus {
     /// Voltage of the capacitor after a step. Without an inductance the old voltage decides whether the diodes conduct, and the
     /// rest is implicit: stable for any step.
     fn charge(&mut self, t_s: f64, dt_s: f64, i_a: f64) -> f64 {
-        let mains_v = self.mains_v(t_s);
+        let line_v = self.line_v(t_s);
         let parts = &self.parts;
         let rate = dt_s * self.per.link_c;
         let drawn_a = i_a + self.v * self.per.bleeder_r;
         let v = if parts.line_l_h > 0.0 {
-            let voltages = (mains_v, self.v);
+            let voltages = (line_v, self.v);
             self.line.advance(parts, &self.per, voltages, dt_s);
             self.v + rate * (self.line.rectifier_a.abs() - drawn_a)
         } else {
-            let rectified_v = mains_v.abs() - parts.rectifier_v;
+            let rectified_v = line_v.unwrap_or(0.0).abs() - parts.rectifier_v;
             let g = if rectified_v > self.v {
                 rate / (parts.line_r_ohm + parts.rectifier_r_ohm)
             } else {
@@ -249,6 +265,11 @@ impl Bus {
         };
         // The lower diodes keep the bus from going negative.
         v.max(0.0)
+    }
+
+    /// Voltage that feeds the line, in volt; `None` while it is open.
+    fn line_v(&mut self, t_s: f64) -> Option<f64> {
+        (!self.mains.is_open).then(|| self.mains_v(t_s))
     }
 
     /// Mains voltage, in volt.

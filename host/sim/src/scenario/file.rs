@@ -96,6 +96,7 @@ impl ScenarioFile {
         HobConfig {
             mains_hz: self.mains.hz.unwrap_or(usual.mains_hz),
             mains_v: self.mains.v_rms.unwrap_or(usual.mains_v),
+            is_line_open: self.mains.open.unwrap_or(usual.is_line_open),
             supply: usual.supply.with(
                 self.bus_capacitance_uf.map(|uf| uf * 1e-6),
                 self.line_inductance_uh.map(|uh| uh * 1e-6),
@@ -147,9 +148,12 @@ pub struct NoiseField {
 #[derive(Clone, Copy, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MainsField {
-    /// Voltage in volt rms; 0 is a dropout.
+    /// Voltage in volt rms; 0 is the dropout of IEC 61000-4-11, a short circuit behind the line.
     #[serde(default, deserialize_with = "number::some_v_rms")]
     pub v_rms: Option<f64>,
+    /// `true` for an open line, as with the plug pulled.
+    #[serde(default)]
+    pub open: Option<bool>,
     /// Frequency in hertz.
     #[serde(default, deserialize_with = "number::some_hz")]
     pub hz: Option<f64>,

@@ -7,6 +7,7 @@ use super::timeline::{TimedChange, TimelineChange};
 use crate::hob::SimHob;
 use crate::injection::Injections;
 use crate::inverter::InverterError;
+use crate::mains::SimulatedMains;
 use crate::plant::Plant;
 use crate::pot::SimulatedPot;
 
@@ -47,7 +48,7 @@ impl ChangeableHob for SimHob {
 #[derive(Default)]
 pub struct Surroundings {
     pots: BTreeMap<usize, SimulatedPot>,
-    mains: BTreeMap<usize, (f64, f64)>,
+    mains: BTreeMap<usize, SimulatedMains>,
     injected: BTreeMap<usize, u32>,
 }
 
@@ -103,16 +104,21 @@ impl Surroundings {
                     hob.plant().set_pot(pot)?;
                 }
             }
-            TimelineChange::Mains(MainsField { v_rms, hz, .. }) => {
-                let mains = hob.plant().mains();
-                let before = (mains.v_rms_v(), mains.frequency_hz);
+            TimelineChange::Mains(MainsField {
+                v_rms, hz, open, ..
+            }) => {
+                let before = hob.plant().mains();
                 self.mains.insert(event, before);
-                let (v_rms_v, hz) = (v_rms.unwrap_or(before.0), hz.unwrap_or(before.1));
-                hob.plant().change_mains(v_rms_v, hz);
+                let v_rms_v = v_rms.unwrap_or(before.v_rms_v());
+                hob.plant()
+                    .change_mains(v_rms_v, hz.unwrap_or(before.frequency_hz));
+                hob.plant().set_line_open(open.unwrap_or(before.is_open));
             }
             TimelineChange::MainsBack(event) => {
-                if let Some((v_rms_v, hz)) = self.mains.remove(event) {
-                    hob.plant().change_mains(v_rms_v, hz);
+                if let Some(before) = self.mains.remove(event) {
+                    hob.plant()
+                        .change_mains(before.v_rms_v(), before.frequency_hz);
+                    hob.plant().set_line_open(before.is_open);
                 }
             }
             TimelineChange::Inject(injection) => {

@@ -183,8 +183,8 @@ impl Changes<'_> {
             }
         }
         if let Some(mains) = field.mains {
-            if mains.v_rms.is_none() && mains.hz.is_none() {
-                return Err("mains: give v_rms, hz or both".to_owned());
+            if mains.v_rms.is_none() && mains.hz.is_none() && mains.open.is_none() {
+                return Err("mains: give v_rms, hz or open".to_owned());
             }
             self.push(field.at_s, TimelineChange::Mains(mains));
             if let Some(end_s) = end_s(mains.for_s) {

@@ -46,7 +46,7 @@ scenarios! {
     plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains glitch mains_hz no_drift off offsets slow_drift stuck supply }
     pots { places recovered_mains risen_mains }
     restart { doubled host_clears host_repeats lookups tries }
-    sags { dip dropout swell }
+    sags { dip dropout swell unplugged }
     steps { dither low_mains steps taught }
     temperatures { derating glass over sensors }
     zvs { powers }

@@ -91,10 +91,7 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
     }
     if summary.watchdog_bites > 0 {
         let bites = summary.watchdog_bites;
-        let _ = writeln!(
-            text,
-            "the watchdog reset the controller {bites} times"
-        );
+        let _ = writeln!(text, "the watchdog reset the controller {bites} times");
     }
     let latched = match summary.latched {
         true => ", switched off for good although power is asked for",
