@@ -57,13 +57,12 @@ struct Hob {
 
 impl Hob {
     fn new(pot: &SimulatedPot, contents: PotContents, contact: f64, glass_c: f64) -> Self {
-        let mut lumps = LumpTemperatures {
-            contact,
-            ..LumpTemperatures::at(AMBIENT_C)
-        };
+        let mut lumps = LumpTemperatures::at(AMBIENT_C);
         lumps.set_glass(glass_c);
+        let mut thermal = ThermalModel::new(contents, pot).with_contact(contact);
+        thermal.set_room(AMBIENT_C);
         Self {
-            thermal: ThermalModel::new(contents, pot).with_contact(contact),
+            thermal,
             lumps,
             sensors: Temperatures::default(),
             heat: PotHeat::default(),
@@ -73,9 +72,8 @@ impl Hob {
 
     /// Advances by a step at a power in watt, and reads the sensors.
     fn advance(&mut self, power_w: f64) {
-        self.thermal.advance(power_w, STEP_S);
         let below = Heat {
-            pot_c: Some(self.thermal.temperature_c()),
+            glass_j: self.thermal.advance_on(power_w, STEP_S, self.lumps.glass_c),
             ..Heat::default()
         };
         self.lumps.advance(STEP_S, &below, true);

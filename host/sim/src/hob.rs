@@ -150,10 +150,7 @@ impl SimHob {
             starts: 1,
             watchdog: Watchdog::default(),
             injections: Injections::default(),
-            temperatures: LumpTemperatures {
-                contact: config.glass_contact,
-                ..LumpTemperatures::at(config.ambient_c)
-            },
+            temperatures: LumpTemperatures::at(config.ambient_c),
             ntc: config.ntc,
             dc_link: config.dc_link,
             share_wire: None,
@@ -355,7 +352,6 @@ impl SimHob {
 
     /// Updates the temperatures by a half-cycle.
     fn warm_up(&mut self, reading: &MeterReading) {
-        let pot = self.plant.pot();
         let bus_v = self.plant.mains().peak_v;
         let node_f = f64::from(NODE_CAPACITANCE_NF) * 1e-9;
         let heat = Heat {
@@ -368,13 +364,15 @@ impl SimHob {
             },
             // Each edge dissipates at most the energy of the whole bus voltage.
             edges_j: f64::from(reading.hard_edges) * 0.5 * node_f * bus_v * bus_v,
-            pot_c: pot
-                .base
-                .map(|_| self.plant.temperature_c().unwrap_or(pot.temperature_c)),
+            glass_j: self.plant.take_glass_heat_j(reading.duration_s),
         };
         // A stopped program leaves the fan's pin an input.
         let fan = self.housekeeping.fan() && !self.watchdog.has_given_up();
         self.temperatures.advance(reading.duration_s, &heat, fan);
+        let LumpTemperatures {
+            glass_c, ambient_c, ..
+        } = self.temperatures;
+        self.plant.set_surroundings(glass_c, ambient_c);
     }
 
     /// Temperatures of heat sink, glass and coil, for reading and setting.
@@ -427,7 +425,7 @@ impl SimHob {
         self.plant.pot()
     }
 
-    /// Present state of pot and contents; `None` if they do not warm up.
+    /// Present state of pot and contents; `None` without a pot, or if they do not warm up.
     pub fn thermal(&self) -> Option<&ThermalModel> {
         self.plant.thermal()
     }

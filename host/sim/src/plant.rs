@@ -29,6 +29,7 @@ mod half_cycle_meter;
 mod hardware_opening;
 mod load_observer;
 mod pot_on_coil;
+mod warm_pots;
 
 use half_cycle_meter::HalfCycleMeter;
 use hardware_opening::HardwareOpening;
@@ -194,20 +195,34 @@ impl Plant {
         self.meter.last.take()
     }
 
-    /// Enables warming of the pot with these contents, from its temperature, by the power it takes; `contact` is that of
-    /// [`ThermalModel::with_contact`].
-    pub fn enable_warming(&mut self, contents: PotContents, contact: f64) {
-        self.coil.enable_warming(contents, contact);
+    /// Enables warming of the pot with these contents, from its temperature, by the power it takes.
+    pub fn enable_warming(&mut self, contents: PotContents) {
+        self.coil.heat.enable(contents, &self.coil.pot);
     }
 
-    /// Temperature of the pot's base in °C; `None` if it does not warm up.
+    /// Sets the conductance from a pot to the glass, over that of a flat base.
+    pub fn set_glass_contact(&mut self, contact: f64) {
+        self.coil.heat.set_contact(contact);
+    }
+
+    /// Sets the temperatures in °C of the glass below the pot and of the room.
+    pub fn set_surroundings(&mut self, glass_c: f64, room_c: f64) {
+        self.coil.heat.set_surroundings(glass_c, room_c);
+    }
+
+    /// Takes the heat in joule that the pot has given to the glass in the last `dt_s`.
+    pub fn take_glass_heat_j(&mut self, dt_s: f64) -> f64 {
+        self.coil.heat.take_given_j(&self.coil.pot, dt_s)
+    }
+
+    /// Temperature of the pot's base in °C; `None` without a pot, or if it does not warm up.
     pub fn temperature_c(&self) -> Option<f64> {
-        self.coil.warming.map(|w| w.temperature_c())
+        self.thermal().map(ThermalModel::temperature_c)
     }
 
-    /// Present state of pot and contents; `None` if they do not warm up.
+    /// Present state of pot and contents; `None` without a pot, or if they do not warm up.
     pub fn thermal(&self) -> Option<&ThermalModel> {
-        self.coil.warming.as_ref()
+        self.coil.heat.on_coil()
     }
 
     /// Time since the start, in seconds.

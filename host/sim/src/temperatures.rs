@@ -32,7 +32,7 @@ pub(super) const GLASS_W_PER_K: (f64, f64, f64) = (8.0, 1.0, 0.5);
 const GLASS_SENSOR_S: f64 = 10.0;
 
 /// Heat capacity of litz wire and carrier, in J/K.
-const COIL_J_PER_K: f64 = 200.0;
+pub(super) const COIL_J_PER_K: f64 = 200.0;
 
 /// Thermal conductance from the coil to the air, in W/K: with the fan, and without.
 const COIL_W_PER_K: (f64, f64) = (1.2, 0.4);
@@ -48,8 +48,8 @@ pub struct Heat {
     pub mains_a: f64,
     /// Energy of hard edges, in joule.
     pub edges_j: f64,
-    /// Temperature of the pot's base in °C; `None` without a pot.
-    pub pot_c: Option<f64>,
+    /// Heat from the pot into the glass, in joule.
+    pub glass_j: f64,
 }
 
 /// Temperatures of three lumps.
@@ -65,8 +65,6 @@ pub struct LumpTemperatures {
     pub glass_sensor_c: f64,
     /// Temperature of the coil, in °C.
     pub coil_c: f64,
-    /// Conductance from the pot to the glass over that of a flat base.
-    pub contact: f64,
 }
 
 impl LumpTemperatures {
@@ -78,7 +76,6 @@ impl LumpTemperatures {
             glass_c: ambient_c,
             glass_sensor_c: ambient_c,
             coil_c: ambient_c,
-            contact: 1.0,
         }
     }
 
@@ -97,20 +94,16 @@ impl LumpTemperatures {
             glass_c,
             coil_c,
             glass_sensor_c,
-            contact,
         } = *self;
         let lost_w = SWITCH_V * heat.i_mean_a + RECTIFIER_V * heat.mains_a;
         let sink_w = lost_w - air(SINK_W_PER_K) * (heat_sink_c - ambient_c);
-        let (from_pot, to_air, to_coil) = GLASS_W_PER_K;
+        let (_, to_air, to_coil) = GLASS_W_PER_K;
         let down_w = to_coil * (glass_c - coil_c);
-        let pot_w = heat
-            .pot_c
-            .map_or(0.0, |pot_c| contact * from_pot * (pot_c - glass_c));
-        let glass_w = pot_w - to_air * (glass_c - ambient_c) - down_w;
+        let glass_w = -to_air * (glass_c - ambient_c) - down_w;
         let copper_w = WINDING_R_OHM * heat.i_square_a2;
         let coil_w = copper_w + down_w - air(COIL_W_PER_K) * (coil_c - ambient_c);
         self.heat_sink_c += (sink_w * dt_s + heat.edges_j) / SINK_J_PER_K;
-        self.glass_c += glass_w * dt_s / GLASS_J_PER_K;
+        self.glass_c += (glass_w * dt_s + heat.glass_j) / GLASS_J_PER_K;
         self.glass_sensor_c += (glass_c - glass_sensor_c) * dt_s / GLASS_SENSOR_S;
         self.coil_c += coil_w * dt_s / COIL_J_PER_K;
     }
@@ -186,7 +179,11 @@ mod tests {
 
     fn settled(heat: &Heat, fan: bool) -> LumpTemperatures {
         let mut t = LumpTemperatures::at(AMBIENT_C);
-        (0..200_000).for_each(|_| t.advance(0.1, heat, fan));
+        for _ in 0..200_000 {
+            // A pot's base of 110 °C.
+            let glass_j = 0.1 * GLASS_W_PER_K.0 * (110.0 - t.glass_c);
+            t.advance(0.1, &Heat { glass_j, ..*heat }, fan);
+        }
         t
     }
 
@@ -197,7 +194,7 @@ mod tests {
             i_square_a2: 550.0,
             mains_a: 11.0,
             edges_j: 0.0,
-            pot_c: Some(110.0),
+            glass_j: 0.0,
         };
         let (with, without) = (settled(&heat, true), settled(&heat, false));
         // (1.7·20 + 1.8·11) W over 1.7 and 0.4 W/K.

@@ -110,8 +110,10 @@ impl HobConfig {
             plant.set_bench_supply(supply_v);
         }
         if self.warming {
-            plant.enable_warming(self.contents, self.glass_contact);
+            plant.enable_warming(self.contents);
         }
+        plant.set_glass_contact(self.glass_contact);
+        plant.set_surroundings(self.ambient_c, self.ambient_c);
         Ok(plant)
     }
 

@@ -1,15 +1,15 @@
 //! Pot on the coil: its load at each frequency and temperature.
 
+use ihd_shared::hob::WINDING_R_OHM;
 use ihd_shared::sampling::ADC_LOCK_Q;
 
 use super::load_observer::LoadPoint;
-use crate::contents::PotContents;
+use super::warm_pots::WarmPots;
 use crate::inverter::load::{LoadState, Warmth};
 use crate::inverter::{Inverter, InverterError, STEPS_PER_PERIOD};
 use crate::load_library::LoadLibrary;
 use crate::pot::SimulatedPot;
 use crate::recording::settings::LoadKind;
-use crate::thermal_model::ThermalModel;
 
 /// Step in kelvin in which R and L follow the temperature: 0.001 % of either.
 const TEMPERATURE_STEP_K: f64 = 0.02;
@@ -19,8 +19,10 @@ const TEMPERATURE_STEP_K: f64 = 0.02;
 pub struct PotOnCoil {
     pub pot: SimulatedPot,
     pub load_library: LoadLibrary,
-    /// State of pot and contents; `None` if they do not warm up.
-    pub warming: Option<ThermalModel>,
+    /// Heat of this pot and of those that were there before.
+    pub heat: WarmPots,
+    /// Energy into the load until the last block, in joule.
+    energy_j: f64,
     /// Present temperature of the load, in °C.
     load_c: f64,
 }
@@ -31,14 +33,10 @@ impl PotOnCoil {
         Self {
             pot,
             load_library: LoadLibrary::new(load),
-            warming: None,
+            heat: WarmPots::default(),
+            energy_j: 0.0,
             load_c: pot.temperature_c,
         }
-    }
-
-    /// Enables warming from the pot's temperature; `contact` is that of [`ThermalModel::with_contact`].
-    pub fn enable_warming(&mut self, contents: PotContents, contact: f64) {
-        self.warming = Some(ThermalModel::new(contents, &self.pot).with_contact(contact));
     }
 
     /// Exchanges the pot; the inverter's current continues.
@@ -56,10 +54,7 @@ impl PotOnCoil {
             STEPS_PER_PERIOD,
             Some(&inverter.load),
         )?;
-        if pot.base != self.pot.base || pot.diameter_m != self.pot.diameter_m {
-            // A new pot has the same contents, at its own temperature.
-            self.warming = self.warming.map(|old| old.exchanged(&pot));
-        }
+        self.heat.exchange(&self.pot, &pot, inverter.now_s());
         self.pot = pot;
         self.load_c = pot.temperature_c;
         self.apply_temperature(inverter);
@@ -80,22 +75,22 @@ impl PotOnCoil {
         load
     }
 
-    /// Adds the heat of one ADC block, at whose end the load is `now`.
+    /// Adds the heat of one ADC block, at whose end the load is `now`: what the load took, less what is lost in the winding.
     pub fn warm_up(&mut self, now: &LoadPoint, inverter: &mut Inverter) {
-        let Some(warming) = &mut self.warming else {
-            return;
-        };
+        let energy_j = inverter.load_energy_j();
+        let taken_j = energy_j - std::mem::replace(&mut self.energy_j, energy_j);
         let block_s = f64::from(ADC_LOCK_Q) / inverter.f_sw_hz();
-        warming.advance(0.5 * now.r_ohm * now.i_a * now.i_a, block_s);
+        let winding_j = 0.5 * WINDING_R_OHM * now.i_a * now.i_a * block_s;
+        self.heat.heat(taken_j - winding_j, block_s);
         self.apply_temperature(inverter);
     }
 
     /// Adapts the load to the pot's temperature.
     fn apply_temperature(&mut self, inverter: &mut Inverter) {
-        let (Some(warming), Some(_)) = (&self.warming, self.pot.base) else {
+        let Some(on_coil) = self.heat.on_coil() else {
             return;
         };
-        let hot_c = warming.temperature_c();
+        let hot_c = on_coil.temperature_c();
         if (hot_c - self.load_c).abs() >= TEMPERATURE_STEP_K {
             self.load_c = hot_c;
             self.heat_load(inverter);
@@ -104,7 +99,7 @@ impl PotOnCoil {
 
     /// Sets the load's temperature.
     pub fn heat_load(&self, inverter: &mut Inverter) {
-        let (Some(_), Some(base)) = (&self.warming, self.pot.base) else {
+        let (Some(_), Some(base)) = (self.heat.on_coil(), self.pot.base) else {
             return;
         };
         // The law is that of the pot at the temperature at which it was put on.

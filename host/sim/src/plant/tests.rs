@@ -109,9 +109,10 @@ fn the_table_stands_for_the_field() {
 fn r_drifts_upwards_as_the_pot_warms() {
     for load in [LoadKind::Behavioural, LoadKind::Field] {
         let mut plant = at_full_power(load);
-        plant.enable_warming(PotContents::Food, 1.0);
-        // 900 J/K, and 14 W/K of which little is lost in a tenth of a second.
-        plant.coil.warming.as_mut().unwrap().advance(9.007e5, 0.1);
+        plant.enable_warming(PotContents::Food);
+        plant.set_surroundings(20.0, 20.0);
+        // 900 J/K, and 21 W/K of which little is lost in a tenth of a second.
+        plant.coil.heat.heat(9.01e4, 0.1);
         let hot_c = plant.temperature_c().unwrap();
         assert!((hot_c - 120.0).abs() < 0.1, "{hot_c}");
         let cold = plant.load_point();
@@ -200,4 +201,28 @@ fn behind_an_open_line_the_terminals_keep_a_dc_that_c1_holds() {
     plant.change_mains(0.0, 50.0);
     until(&mut plant, 0.235);
     assert!(plant.dividers().mains_v().abs() < 5.0);
+}
+
+/// Energy is kept: what the coil takes heats the pot by R less the winding, and the winding.
+#[test]
+fn the_pot_gets_what_the_winding_leaves() {
+    let adc = SimulatedAdc::new(ConverterNoise::default(), 1);
+    let mut plant = Plant::new(SimulatedMains::new(50.0), PotKind::Stainless, adc);
+    plant.enable_warming(PotContents::Food);
+    plant.set_surroundings(20.0, 20.0);
+    plant.set_drive(Drive::switching(60_000));
+    let (mut taken_j, mut winding_j, mut readings) = (0.0, 0.0, 0);
+    while readings < 4 {
+        plant.block(|_| ());
+        if let Some(reading) = plant.take_reading() {
+            taken_j += reading.energy_j;
+            winding_j += 0.1 * reading.i_square_a2 * reading.duration_s;
+            readings += 1;
+        }
+    }
+    // 900 J/K, and next to nothing given to glass and room.
+    let got_j = 900.0 * (plant.temperature_c().unwrap() - 20.0);
+    assert!(winding_j > 0.1 * taken_j, "{winding_j} of {taken_j}");
+    let lost = got_j / (taken_j - winding_j) - 1.0;
+    assert!(lost.abs() < 0.01, "{got_j} {taken_j} {winding_j}");
 }
