@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 use nalgebra::Complex;
 
 use crate::correlation::weighted_sums;
+use crate::fourier::hann;
 use crate::{RawSamples, Segment};
 
 /// Cut-off of the tracking in hertz: a sweep of 1 kHz is followed to 2 %, and the rest is slow.
@@ -215,11 +216,12 @@ struct Frames {
 impl Frames {
     fn new(frame: usize, hop: usize, periods_per_sample: f64) -> Self {
         let turn = |k: usize| TAU * (k as f64 * periods_per_sample).fract();
-        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / frame as f64);
+        let hann = hann(frame);
+        let weights = || hann.iter().enumerate();
         Self {
             hop,
-            cos: (0..frame).map(|k| hann(k) * libm::cos(turn(k))).collect(),
-            minus_sin: (0..frame).map(|k| -hann(k) * libm::sin(turn(k))).collect(),
+            cos: weights().map(|(k, w)| w * libm::cos(turn(k))).collect(),
+            minus_sin: weights().map(|(k, w)| -w * libm::sin(turn(k))).collect(),
             expected: Complex::from_polar(1.0, -turn(hop)),
         }
     }

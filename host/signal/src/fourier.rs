@@ -3,6 +3,7 @@
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use realfft::RealFftPlanner;
@@ -38,6 +39,13 @@ pub fn forward(points: usize) -> Arc<dyn RealToComplex<f64>> {
 #[inline(never)]
 pub fn inverse(points: usize) -> Arc<dyn ComplexToReal<f64>> {
     RealFftPlanner::new().plan_fft_inverse(points)
+}
+
+/// Midpoint Hann window: `n` weights whose sum is n/2.
+pub fn hann(n: usize) -> Vec<f64> {
+    (0..n)
+        .map(|k| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / n as f64))
+        .collect()
 }
 
 /// Returns sin(πx)/(πx), the spectrum of a rectangle of width 1.

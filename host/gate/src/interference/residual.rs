@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use ihd_identify::lockin::{Boxcar, demodulate};
 use ihd_signal::Segment;
+use ihd_signal::fourier::hann;
 use ihd_signal::noise::WhiteNoise;
 use nalgebra::Complex;
 
@@ -297,9 +298,12 @@ impl<'a> WeightedPart<'a> {
     /// Weights a range; `None` if it is too short for a tone, or has no weight.
     fn new(residual: &'a Residual, range: Range<usize>) -> Option<Self> {
         let n = range.len();
-        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / n as f64);
-        let periods = residual.periods[range.clone()].iter().enumerate();
-        let weight: Vec<f64> = periods.map(|(k, p)| hann(k) * p.weight).collect();
+        let periods = residual.periods[range.clone()].iter();
+        let weight: Vec<f64> = hann(n)
+            .iter()
+            .zip(periods)
+            .map(|(w, p)| w * p.weight)
+            .collect();
         let is_enough = n >= MIN_PHASORS && weight.iter().sum::<f64>() > 0.0;
         is_enough.then(|| Self {
             left: residual.v[range.clone()].to_vec(),

@@ -11,6 +11,7 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
+use ihd_signal::fourier::hann;
 use nalgebra::{Complex, Matrix3, Vector3};
 
 /// Switching periods of a window. Under a Hann window of four the harmonics lie on each other's zeros.
@@ -91,9 +92,7 @@ impl<'a> Censored<'a> {
         let length = (WINDOW as f64 * pair.per_period).round() as usize;
         let windows = (pair.x.len() as f64 / pair.per_period) as usize;
         let windows = windows.checked_sub(WINDOW).filter(|n| *n > 0)?;
-        let hann: Vec<f64> = (0..length)
-            .map(|k| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / length as f64))
-            .collect();
+        let hann = hann(length).into_iter().map(|w| 2.0 * w).collect();
         let mut model = Self {
             pair,
             hann,

@@ -6,6 +6,7 @@
 use std::f64::consts::TAU;
 
 use ihd_signal::correlation::{Correlator, weighted_sums};
+use ihd_signal::fourier::hann;
 use ihd_signal::noise::median;
 use ihd_signal::{RawSamples, Samples, Segment};
 use nalgebra::Complex;
@@ -107,10 +108,11 @@ struct Window {
 
 impl Window {
     fn new(length: usize, periods_per_sample: f64) -> Self {
-        let hann = |k: usize| 0.5 - 0.5 * libm::cos(TAU * (k as f64 + 0.5) / length as f64);
+        let hann = hann(length);
+        let weights = || hann.iter().enumerate();
         let turn = |k: usize| TAU * (k as f64 * periods_per_sample).fract();
-        let re: Vec<f64> = (0..length).map(|k| hann(k) * libm::cos(turn(k))).collect();
-        let im: Vec<f64> = (0..length).map(|k| -hann(k) * libm::sin(turn(k))).collect();
+        let re: Vec<f64> = weights().map(|(k, w)| w * libm::cos(turn(k))).collect();
+        let im: Vec<f64> = weights().map(|(k, w)| -w * libm::sin(turn(k))).collect();
         let mean = Complex::new(re.iter().sum(), im.iter().sum());
         Self { re, im, mean }
     }

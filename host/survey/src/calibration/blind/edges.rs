@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ihd_signal::correlation::weighted_sums;
+use ihd_signal::fourier::hann;
 use nalgebra::Complex;
 
 use crate::track::turned;
@@ -146,9 +147,7 @@ impl Stretch {
             return None;
         }
         let omega = TAU * self.f_sw_hz;
-        let hann = |k: usize| 1.0 - libm::cos(TAU * (k as f64 + 0.5) / frame as f64);
-        let window: Vec<f64> = (0..frame).map(hann).collect();
-        let weights = turned(&window, 2.0 / frame as f64, omega * self.dt_s);
+        let weights = turned(&hann(frame), 4.0 / frame as f64, omega * self.dt_s);
         let phasor = |x: &[f64], from: usize| {
             let [re, im] = weighted_sums(&x[from..from + frame], [&weights[0], &weights[1]]);
             Complex::new(re, im) * Complex::from_polar(1.0, -omega * self.dt_s * from as f64)
