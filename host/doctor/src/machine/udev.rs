@@ -1,8 +1,10 @@
 //! The udev rule: check of its presence, content and order; and its installation.
 
 use std::fs;
-use std::io::{self, ErrorKind, Write};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
+
+use ihd_signal::atomic;
 
 use super::{Os, System};
 use crate::Check;
@@ -109,15 +111,9 @@ pub fn install(
             as_root: as_root.to_owned(),
         }
     };
-    // udev reads files ending in .rules only.
-    let new = folder.join(format!("{RULE_NAME}.new"));
-    let written = fs::create_dir_all(&folder).and_then(|()| {
-        let mut file = fs::File::create(&new)?;
-        file.write_all(RULE.as_bytes())?;
-        file.sync_all()
-    });
-    written.map_err(failed(&new))?;
-    fs::rename(&new, &path).map_err(failed(&path))?;
+    // udev reads files ending in .rules only, which a temporary one does not.
+    let written = fs::create_dir_all(&folder).and_then(|()| atomic::write(&path, RULE.as_bytes()));
+    written.map_err(failed(&path))?;
     let old = folder.join("99-ihd.rules");
     match fs::remove_file(&old) {
         Ok(()) => {}
