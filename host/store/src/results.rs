@@ -1,7 +1,6 @@
 //! Results of windows, and the learner's state.
 
 use rusqlite::{Connection, OptionalExtension, Row, Transaction, params};
-use serde::Serialize;
 
 use super::text::printable;
 use super::windows::SampleDropReason;
@@ -44,7 +43,7 @@ pub struct NewResult {
 }
 
 /// Stored result of a window. Numbers that were not finite are NaN.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ResultRow {
     /// Its number.
     pub id: ResultId,
