@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use ihd_daemon::{Daemon, DaemonConfig, OpenDevice, OpenedDevice};
 use ihd_link::tcp::TcpTransport;
 use ihd_link::{DeviceSpec, LinkError, Transport};
-use ihd_model::{Command, DeviceState, RecordSettings, WindowCounts};
+use ihd_model::{DeviceState, WindowCounts};
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_sim::hob::HobConfig;
@@ -230,46 +230,6 @@ async fn a_device_of_another_protocol_says_what_to_update() {
         report.detail
     );
     assert!(!report.detail.contains('\u{1b}'), "{:?}", report.detail);
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn what_is_recorded_can_be_read() {
-    let rig = Rig::new(&["bench"]);
-    let daemon = rig.daemon().await;
-    until_state(&daemon, DeviceState::Idle).await;
-    let command = |command| daemon.command("bench", "me", command);
-    let begun = command(Command::RecordStart(RecordSettings::default()))
-        .await
-        .unwrap();
-    rig.bench().panel(6);
-    until(&daemon, |r| r.windows.stored >= 2).await;
-    assert!(daemon.view().device("bench").unwrap().recording.is_some());
-    assert!(
-        command(Command::RecordStart(RecordSettings::default()))
-            .await
-            .is_err(),
-        "one at a time"
-    );
-    let done = command(Command::RecordStop).await.unwrap();
-    assert_eq!(begun.file, done.file);
-    let file = done.file.unwrap();
-    assert!(std::fs::metadata(&file).unwrap().len() > 50_000, "{file}");
-    assert!(command(Command::RecordStop).await.is_err());
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_store_is_one_daemons() {
-    let rig = Rig::new(&["bench"]);
-    let daemon = rig.daemon().await;
-    let open: Arc<OpenDevice> = Arc::new(|_| panic!("no store, no device"));
-    let second = Daemon::start(rig.config(), open).await;
-    let why = second.err().expect("the first one has it").to_string();
-    assert!(
-        why.contains("another process") || why.contains("uses this store"),
-        "{why}"
-    );
     daemon.stop().await;
 }
 

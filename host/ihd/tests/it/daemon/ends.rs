@@ -20,7 +20,7 @@ fn a_signal_ends_it_in_order_with_the_hob_off() {
     }
 }
 
-/// The hob does not heat for it: `a_hob_does_not_heat_for_a_dead_daemon` (tests/daemon/kills.rs).
+/// The hob does not heat for it: `a_host_that_falls_silent_no_longer_heats` (tests/it/link_device.rs).
 #[test]
 fn a_killed_daemon_leaves_its_store_whole_and_its_port_free() {
     let mut kitchen = Kitchen::start();
