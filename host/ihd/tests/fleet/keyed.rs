@@ -173,10 +173,20 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
         windows >= Some(1) && status["results"].as_u64() == windows && status["backlog"] == 0
     });
     println!("{}", keyed.status());
-    keyed.until("the lookup of the hob", || {
-        let (text, code) = keyed.fleet("operator", &["lookup", "ls", "--json"]);
-        code == 0 && text.contains("bench")
-    });
+    // Revision of the hob's last lookup, and `true` if it is in use.
+    let last_lookup = || {
+        let (text, _) = keyed.fleet("operator", &["lookup", "ls", "--json"]);
+        let last = serde_json::from_str::<Value>(&text).ok()?[0].clone();
+        Some((last["revision"].as_u64()?, last["lookup"]["in_use"] == true))
+    };
+    let is_in_use =
+        |after| last_lookup().is_some_and(|(revision, in_use)| in_use && Some(revision) > after);
+    keyed.until("the lookup of the hob", || is_in_use(None));
+    let (first, _) = last_lookup().expect("a lookup");
+    // An operator wants an older one used: the edge pushes it, and reports it in use.
+    let (text, code) = keyed.fleet("operator", &["lookup", "push", "bench", &first.to_string()]);
+    assert_eq!(code, 0, "{text}");
+    keyed.until("the requested lookup in use", || is_in_use(Some(first + 1)));
     assert_eq!(
         keyed.status()["edges"][0]["trusts_fleet"],
         true,

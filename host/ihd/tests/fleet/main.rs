@@ -24,4 +24,3 @@ mod site;
 mod study;
 mod twins;
 mod watched;
-mod whole;

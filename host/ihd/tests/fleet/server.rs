@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU8, Ordering::Relaxed};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -61,17 +61,6 @@ impl Server {
     /// Starts a server without users, with `more` lines of configuration (`mqtt { listen: … }`, `accounts { … }`).
     pub fn start(more: &str) -> Self {
         Self::configured(|place| place.basics() + more)
-    }
-
-    /// Starts a server with MQTT, without users.
-    pub fn with_mqtt() -> Self {
-        Self::configured(|place| {
-            format!(
-                "{}mqtt {{ listen: {} }}\n",
-                place.basics(),
-                place.any_port()
-            )
-        })
     }
 
     /// Starts a server with the configuration that `write` returns for its place.
@@ -136,32 +125,12 @@ impl Server {
         let _ = self.child.wait();
     }
 
-    /// Stops it (SIGTERM) and waits for its end.
-    pub fn stop(&mut self) -> ExitStatus {
-        self.signal("TERM");
-        let deadline = Instant::now() + PATIENCE;
-        loop {
-            if let Some(status) = self.child.try_wait().expect("a child of ours") {
-                return status;
-            }
-            assert!(Instant::now() < deadline, "it goes on:\n{}", self.log());
-            thread::sleep(POLL_PERIOD);
-        }
-    }
-
     /// Restarts it at the same address with the same store; kills it first if it runs.
     pub fn restart(&mut self) {
         self.kill9();
-        // The former ports, in place of any free port.
+        // The former port, in place of any free port; the client's comes first in every configuration here.
         let any = format!("{}:-1", self.address);
-        self.rewrite(|text| {
-            // The client's comes first in every configuration here.
-            let text = text.replacen(&any, &self.address().to_string(), 1);
-            match self.mqtt_port {
-                Some(port) => text.replacen(&any, &format!("{}:{port}", self.address), 1),
-                None => text,
-            }
-        });
+        self.rewrite(|text| text.replacen(&any, &self.address().to_string(), 1));
         self.starts += 1;
         self.child = spawn(self.folder.path(), self.starts).expect("nats-server starts again");
         self.wait_until_ready();
@@ -331,57 +300,4 @@ fn own_address() -> Ipv4Addr {
     static NEXT: AtomicU8 = AtomicU8::new(2);
     let [_, _, high, low] = std::process::id().to_be_bytes();
     Ipv4Addr::new(127, high, low, NEXT.fetch_add(1, Relaxed))
-}
-
-mod tests {
-    use std::io::{BufRead, BufReader, Write};
-    use std::net::TcpStream;
-
-    use super::*;
-
-    /// Returns `true` if a client's PING is answered.
-    fn answers(server: &Server) -> bool {
-        let Ok(mut stream) = TcpStream::connect(server.address()) else {
-            return false;
-        };
-        stream
-            .set_read_timeout(Some(Duration::from_secs(1)))
-            .unwrap();
-        stream
-            .write_all(b"CONNECT {\"verbose\":false}\r\nPING\r\n")
-            .unwrap();
-        let lines = BufReader::new(stream).lines();
-        lines.map_while(Result::ok).any(|line| line == "PONG")
-    }
-
-    #[test]
-    fn a_server_comes_back_at_its_own_port_after_each_kind_of_end() {
-        let mut server = Server::with_mqtt();
-        let (address, mqtt) = (server.address(), server.mqtt_address());
-        assert!(answers(&server));
-        server.freeze();
-        assert!(!answers(&server));
-        server.thaw();
-        assert!(answers(&server));
-        server.kill9();
-        assert!(!answers(&server));
-        server.restart();
-        assert!(answers(&server));
-        assert!(server.stop().code().is_some());
-        assert!(!answers(&server));
-        server.restart();
-        assert!(answers(&server));
-        assert_eq!((server.address(), server.mqtt_address()), (address, mqtt));
-        assert!(TcpStream::connect(mqtt).is_ok());
-    }
-
-    #[test]
-    fn a_reload_takes_a_sound_configuration_and_tells_of_another() {
-        let server = Server::start("");
-        server.rewrite(|text| text + "max_payload: 1000\n");
-        server.reload().unwrap();
-        server.rewrite(|text| text + "no_such_thing: 1\n");
-        let why = server.reload().unwrap_err();
-        assert!(why.contains("no_such_thing"), "{why}");
-    }
 }
