@@ -93,6 +93,8 @@ fn wrong_usage_is_2_whoever_finds_it() {
             ("trainer --store none --power 10001", "10000"),
             ("trainer --store none --sim mains=16.7", "mains=16.7"),
             ("trainer --network backend=torch", "ndarray"),
+            ("trainer --device tcp:localhost", "port is missing"),
+            ("trainer --pot copper", "aluminium"),
             ("trainer --store none --sim lift=5mm", "load=reduced"),
             ("trainer --store none --sim load=reduced,lift=1", "lift_m"),
             ("trainer --store none --sim perturb=round", "sharp-knee"),
@@ -155,14 +157,18 @@ fn results_go_to_a_file_of_any_name() {
 #[test]
 fn what_fails_is_1_and_names_the_file() {
     let dir = tempfile::tempdir().unwrap();
-    for args in [
+    let mut all = vec![
         "calibrate none.mcap --reference no-pot",
         "convert none.mcap --out b.csv",
         "identify none.mcap",
         "inspect none.mcap",
         "replay none.mcap",
         "simulate none.toml",
-    ] {
+    ];
+    if cfg!(feature = "pinn") {
+        all.push("trainer --store none --network none.toml");
+    }
+    for args in all {
         let (code, _, stderr) = run(dir.path(), args);
         assert_eq!(code, 1, "{args}: {stderr}");
         assert!(stderr.contains("none."), "{args}: {stderr}");

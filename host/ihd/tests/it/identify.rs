@@ -139,15 +139,6 @@ fn what_cannot_be_identified_is_reported_and_fails() {
     assert!(String::from_utf8_lossy(&unknown.stderr).contains("least-squares"));
 }
 
-#[test]
-fn its_help_has_an_example() {
-    let output = ihd()
-        .args(["identify", "--help"])
-        .output()
-        .expect("it runs");
-    assert!(String::from_utf8_lossy(&output.stdout).contains("Examples:"));
-}
-
 /// A coil beside this one is removed, and said. By the linear filter in noise the result is printed with its findings, the command
 /// ends with 7, and with 0 on request.
 #[test]

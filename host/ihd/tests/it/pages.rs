@@ -33,20 +33,6 @@ fn every_command_has_a_manual_page_with_its_examples() {
     }
 }
 
-#[test]
-fn every_shell_completes_every_first_word() {
-    let folder = tempfile::tempdir().unwrap();
-    pages::write(folder.path()).unwrap();
-    for file in ["ihd.bash", "_ihd", "ihd.fish", "ihd.ps1", "ihd.elv"] {
-        let script = fs::read_to_string(folder.path().join("completions").join(file)).unwrap();
-        for command in pages::command().get_subcommands() {
-            let name = command.get_name();
-            assert!(script.contains(name), "{file}: no {name}");
-        }
-        assert!(script.contains("first-switching"), "{file}");
-    }
-}
-
 /// If there is a bash, it reads the completions and completes by them.
 #[cfg(unix)]
 #[test]

@@ -88,28 +88,6 @@ fn a_recording_replays_identically() {
     );
 }
 
-#[test]
-fn a_killed_recorder_leaves_a_readable_file() {
-    let dir = tempfile::tempdir().unwrap();
-    let hob = Hob::start();
-    let address = &hob.address;
-    let args = format!("record --device tcp:{address} --power 1500 --out killed.mcap");
-    let mut recorder = Process::start(&mut ihd(&args, dir.path()), false);
-    let path = dir.path().join("killed.mcap");
-    await_size(&path, 300_000);
-    // SIGKILL: it cannot be caught.
-    recorder.kill();
-    let (seen, cut) = events(&path);
-    assert!(cut, "it did not end in order");
-    assert!(seen > 50, "{seen}");
-    assert!(mcap::read(&path).unwrap().len() > 8_000);
-    // And a recording is never overwritten.
-    let again = run(&args, dir.path());
-    assert_eq!(again.status.code(), Some(1));
-    let stderr = String::from_utf8_lossy(&again.stderr).into_owned();
-    assert!(stderr.contains("killed.mcap exists already"), "{stderr}");
-}
-
 /// Killed at any moment a recording can be inspected, and holds what came until half a second before.
 #[test]
 fn a_recording_killed_at_any_moment_is_inspected() {
@@ -256,6 +234,7 @@ fn limits_are_checked_and_a_size_ends_a_recording() {
         ("record --out a.mcap --duration 0", "--duration"),
         ("record --out a.mcap --pre-trigger 1", "--trigger"),
         ("record --out there.mcap --trigger fault", "there already"),
+        ("record --out there.mcap", "exists already"),
         ("record --out a.mcap --max-size=-1", "--max-size"),
         ("record --out a.mcap --power 10001", "10000"),
         ("record", "--out"),
