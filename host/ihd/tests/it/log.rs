@@ -6,102 +6,16 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::thread::{self, JoinHandle};
 
-use ihd_fakes::{SampleImage, SampleLog};
-use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
-use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::{
-    AnyMessage, Board, FrontEnd, Log, Message, Outcome, Raw, Reply, StreamLog,
-};
-use ihd_shared::wire::number::Number;
+use ihd_fakes::log_board::Logged;
+use ihd_fakes::{LogBoard, SampleImage, SampleLog};
 use serde_json::Value;
 
-/// Bytes of log before these, dropped messages, bytes.
-pub type Logged = (u32, u32, Vec<u8>);
-
-/// Number of the request that is answered, and frames sent so far.
-struct Sent {
-    number: Number,
-    frames: u16,
-}
-
-fn framed<M: Message>(message: &M, sent: &mut Sent) -> Vec<u8> {
-    let mut frame = [0; MAX_ENCODED];
-    let length = encode_numbered(message, sent.number, sent.frames, &mut frame).unwrap();
-    sent.frames = sent.frames.wrapping_add(1);
-    frame[..length].to_vec()
-}
-
-fn answers(message: &AnyMessage<'_>, build_id: u8, logs: &[Logged], sent: &mut Sent) -> Vec<u8> {
-    match message {
-        AnyMessage::Hello(_) => {
-            framed(&ours(ROLE_DEVICE, 0, 7, "ihd-firmware 9.8.7", "fake"), sent)
-        }
-        AnyMessage::GetFrontEnd(_) => {
-            let front_end = FrontEnd {
-                v_full_scale_mv: 1_000_000,
-                i_full_scale_ma: 100_000,
-                bus_full_scale_mv: 500_000,
-                mains_full_scale_mv: 500_000,
-                bits: 12,
-            };
-            framed(&front_end, sent)
-        }
-        AnyMessage::GetBoard(_) => framed(
-            &Board {
-                id_code: 0,
-                flash_kib: 512,
-                option_bytes: 0,
-                reset_flags: 0,
-                starts: 1,
-                image_bytes: 100,
-                image_crc: 1,
-                sealed_crc: 1,
-                build_id: Raw(&[build_id; 20]),
-                chip: Raw(&[]),
-            },
-            sent,
-        ),
-        AnyMessage::StreamLog(StreamLog { on }) => {
-            let reply = Reply {
-                outcome: Outcome::Ok,
-                detail: 0,
-            };
-            let mut bytes = framed(&reply, sent);
-            for (seq, dropped, data) in logs.iter().filter(|_| *on) {
-                let (seq, dropped, data) = (*seq, *dropped, Raw(data));
-                bytes.extend(framed(&Log { seq, dropped, data }, sent));
-            }
-            bytes
-        }
-        _ => Vec::new(),
-    }
-}
-
 /// Talks until the host is gone, or, where the cable is `short`, until it has logged.
-fn talk(mut stream: TcpStream, build_id: u8, logs: &[Logged], short: bool) {
-    let mut deframer = Deframer::new();
-    let mut sent = Sent {
-        number: Number::NONE,
-        frames: 0,
-    };
+fn talk(mut stream: TcpStream, mut board: LogBoard, short: bool) {
     let mut byte = [0];
     while stream.read(&mut byte).is_ok_and(|n| n == 1) {
-        let Some(Ok(frame)) = deframer.push(byte[0]) else {
-            continue;
-        };
-        let (number, payload) = frame.split();
-        sent.number = number;
-        let Ok(message) = AnyMessage::decode(frame.id, payload) else {
-            continue;
-        };
-        if stream
-            .write_all(&answers(&message, build_id, logs, &mut sent))
-            .is_err()
-        {
-            return;
-        }
-        if short && matches!(message, AnyMessage::StreamLog(_)) {
+        let sent = stream.write_all(&board.receive(byte[0]));
+        if sent.is_err() || (short && board.has_logged) {
             return;
         }
     }
@@ -113,9 +27,9 @@ pub fn board(build_id: u8, connections: Vec<Vec<Logged>>) -> (String, JoinHandle
     let address = format!("tcp:{}", listener.local_addr().unwrap());
     let board = thread::spawn(move || {
         let last = connections.len() - 1;
-        for (k, logs) in connections.iter().enumerate() {
+        for (k, logs) in connections.into_iter().enumerate() {
             let (stream, _) = listener.accept().unwrap();
-            talk(stream, build_id, logs, k < last);
+            talk(stream, LogBoard::new(build_id, logs), k < last);
         }
     });
     (address, board)

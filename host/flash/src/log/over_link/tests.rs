@@ -1,112 +1,36 @@
 //! The log over a link, from a scripted device.
 
-use ihd_shared::wire::deframer::Deframer;
-use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
-use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
-use ihd_shared::wire::messages::{
-    AnyMessage, Board, FrontEnd, Log, Message, Outcome, Raw, Reply, StreamLog,
-};
-use ihd_shared::wire::number::Number;
+use ihd_fakes::LogBoard;
 
 use super::*;
 
 /// Bytes of log before these, dropped frames, bytes.
 type Logged = (u32, u32, &'static [u8]);
 
-/// A device that answers what belongs to a log, and nothing else. Its clock goes on with what is waited for.
+/// A board on a link whose clock goes on with what is waited for.
 struct Device {
-    deframer: Deframer,
+    board: LogBoard,
     bytes: Vec<u8>,
-    sent: Sent,
     time: Duration,
-    logs: &'static [Logged],
 }
 
 impl Device {
-    fn boxed(logs: &'static [Logged]) -> Box<dyn Transport> {
+    fn boxed(logs: &[Logged]) -> Box<dyn Transport> {
+        let logs = logs
+            .iter()
+            .map(|(seq, dropped, data)| (*seq, *dropped, data.to_vec()));
         Box::new(Self {
-            deframer: Deframer::new(),
+            board: LogBoard::new(7, logs.collect()),
             bytes: Vec::new(),
-            sent: Sent {
-                number: Number::NONE,
-                frames: 0,
-            },
             time: Duration::ZERO,
-            logs,
         })
-    }
-}
-
-/// Number of the request that is answered, and frames sent so far.
-struct Sent {
-    number: Number,
-    frames: u16,
-}
-
-fn framed<M: Message>(message: &M, sent: &mut Sent) -> Vec<u8> {
-    let mut frame = [0; MAX_ENCODED];
-    let length = encode_numbered(message, sent.number, sent.frames, &mut frame).unwrap();
-    sent.frames = sent.frames.wrapping_add(1);
-    frame[..length].to_vec()
-}
-
-/// The answers to a message, as frames.
-fn answers(message: &AnyMessage<'_>, logs: &[Logged], sent: &mut Sent) -> Vec<u8> {
-    match message {
-        AnyMessage::Hello(_) => framed(&ours(ROLE_DEVICE, 0, 7, "fake 1.0", "fake"), sent),
-        AnyMessage::GetFrontEnd(_) => {
-            let front_end = FrontEnd {
-                v_full_scale_mv: 1_000_000,
-                i_full_scale_ma: 100_000,
-                bus_full_scale_mv: 500_000,
-                mains_full_scale_mv: 500_000,
-                bits: 12,
-            };
-            framed(&front_end, sent)
-        }
-        AnyMessage::GetBoard(_) => framed(
-            &Board {
-                id_code: 0x2036_8469,
-                flash_kib: 512,
-                option_bytes: 0,
-                reset_flags: 0,
-                starts: 1,
-                image_bytes: 100,
-                image_crc: 1,
-                sealed_crc: 2,
-                build_id: Raw(&[7; 20]),
-                chip: Raw(&[]),
-            },
-            sent,
-        ),
-        AnyMessage::StreamLog(StreamLog { on }) => {
-            let reply = Reply {
-                outcome: Outcome::Ok,
-                detail: 0,
-            };
-            let mut bytes = framed(&reply, sent);
-            for &(seq, dropped, data) in logs.iter().filter(|_| *on) {
-                let data = Raw(data);
-                bytes.extend(framed(&Log { seq, dropped, data }, sent));
-            }
-            bytes
-        }
-        _ => Vec::new(),
     }
 }
 
 impl Transport for Device {
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
         for &byte in bytes {
-            let Some(Ok(frame)) = self.deframer.push(byte) else {
-                continue;
-            };
-            let (number, payload) = frame.split();
-            self.sent.number = number;
-            if let Ok(message) = AnyMessage::decode(frame.id, payload) {
-                self.bytes
-                    .extend(answers(&message, self.logs, &mut self.sent));
-            }
+            self.bytes.extend(self.board.receive(byte));
         }
         Ok(())
     }
@@ -144,7 +68,8 @@ fn what_runs_is_asked_for_and_what_is_missing_is_counted_once() {
     let mut log = way.open().unwrap();
     let running = log.running();
     assert_eq!(running.build_id, Some(BuildId([7; 20])));
-    assert_eq!((running.crc, running.build.as_str()), (Some(2), "fake 1.0"));
+    assert_eq!(running.crc, Some(2));
+    assert_eq!(running.build, "ihd-firmware 9.8.7");
     assert_eq!(read(log.as_mut()), (2, 0, vec![1, 0]));
     assert_eq!(read(log.as_mut()), (0, 0, vec![2, 0]));
     assert_eq!(read(log.as_mut()), (3, 6, vec![3, 0]));
