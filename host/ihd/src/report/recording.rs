@@ -20,8 +20,8 @@ const COLUMNS: usize = 420;
 /// Switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 4.0;
 
-/// Smallest current amplitude whose R and L are drawn, in ampere.
-const SMALLEST_A: f64 = 0.5;
+/// Smallest current amplitude whose R and L are shown, in ampere.
+pub const SMALLEST_A: f64 = 0.5;
 
 /// Draws voltage and current over the whole recording and in a close-up at the largest current,
 /// and R and L of the fundamental, to a file: SVG, PDF or PNG by its ending.

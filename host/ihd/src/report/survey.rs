@@ -16,6 +16,8 @@ use ihd_plot::{
 };
 use ihd_plot::{FigureError, file};
 
+use super::wrapped;
+
 /// Switching periods in the close-up.
 const CLOSE_UP_PERIODS: f64 = 2.0;
 
@@ -25,8 +27,8 @@ const SPECTRUM_FROM: f64 = 0.05;
 /// Columns of a panel of full width, and of one of half width.
 const COLUMNS: (usize, usize) = (1040, 470);
 
-/// Number of letters in a line of findings.
-const LINE: usize = 150;
+/// Number of letters in a line of findings, without its indent.
+const LINE: usize = 147;
 
 /// Height of the panels in pixels.
 const WAVES_PX: u32 = 660;
@@ -257,28 +259,14 @@ fn lines(survey: &Survey) -> Vec<(RGBColor, String)> {
             Severity::Error => RED,
         };
         let text = format!("{}: {finding}", finding.severity());
-        out.extend(wrapped(&text).into_iter().map(|line| (colour, line)));
+        out.extend(
+            wrapped(&text, LINE, "    ")
+                .into_iter()
+                .map(|line| (colour, line)),
+        );
     }
     if survey.findings.is_empty() {
         out.push((BLACK, "nothing found wrong".to_owned()));
     }
     out
-}
-
-/// Wraps at spaces; continuation lines are indented.
-fn wrapped(text: &str) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        let last = lines.len() - 1;
-        let line = &mut lines[last];
-        if line.chars().count() + word.chars().count() > LINE {
-            lines.push(format!("    {word}"));
-        } else {
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line.push_str(word);
-        }
-    }
-    lines
 }

@@ -4,6 +4,8 @@ use std::fmt::Write;
 
 use ihd_doctor::{Check, CheckGroup, CheckResult, Report};
 
+use crate::report;
+
 /// Width of the column before a finding.
 const INDENT: usize = 32;
 
@@ -75,21 +77,7 @@ fn of_check(text: &mut String, check: &Check) {
 
 /// Wraps text to the width of the findings.
 fn wrapped(text: &str) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split(' ') {
-        let used = lines.last().map_or(0, |line| line.chars().count());
-        let breaks = used > 0 && used + 1 + word.chars().count() > WIDTH - INDENT;
-        if breaks {
-            lines.push(String::new());
-        }
-        if let Some(line) = lines.last_mut() {
-            if !line.is_empty() {
-                line.push(' ');
-            }
-            line.push_str(word);
-        }
-    }
-    lines
+    report::wrapped(text, WIDTH - INDENT, "")
 }
 
 #[cfg(test)]

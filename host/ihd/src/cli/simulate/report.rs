@@ -11,8 +11,7 @@ use ihd_sim::recording::prepared;
 use ihd_sim::recording::run::SimulatedRecording;
 use ihd_sim::recording::settings::{CaptureSpec, LoadKind, PRESETS};
 
-/// Smallest current amplitude whose R and L are printed, in ampere.
-const SMALLEST_A: f64 = 0.5;
+use crate::report::recording::SMALLEST_A;
 
 fn range(truth: &[&PeriodTruth], value: impl Fn(&PeriodTruth) -> f64) -> (f64, f64) {
     truth
