@@ -3,13 +3,11 @@
 use std::io::{self, ErrorKind, Read, Write};
 use std::time::Duration;
 
+use ihd_shared::wire::SERIAL_BAUD;
 use serialport::SerialPort;
 
 use super::transport::{SEND_TIMEOUT, send_within};
 use super::{LinkError, Transport};
-
-/// Rate of the board's serial port in bit/s (`firmware/src/board/stm32g474/serial.rs`).
-pub const BAUD: u32 = 921_600;
 
 /// A serial port.
 pub struct SerialTransport {
@@ -24,7 +22,7 @@ impl SerialTransport {
     /// [`LinkError::Connect`] with what the operating system reports.
     pub fn open(path: &str) -> Result<Self, LinkError> {
         let device = format!("serial:{path}");
-        match serialport::new(path, BAUD).open() {
+        match serialport::new(path, SERIAL_BAUD).open() {
             Ok(port) => Ok(Self { port, device }),
             Err(why) => {
                 let hint = match why.kind() {

@@ -28,3 +28,6 @@ pub mod schema;
 pub mod timing;
 
 pub use messages::{PROTOCOL_MAJOR, PROTOCOL_MINOR};
+
+/// Rate of the link over a serial port, in bit/s.
+pub const SERIAL_BAUD: u32 = 921_600;

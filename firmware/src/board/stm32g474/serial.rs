@@ -12,9 +12,6 @@ use embedded_io_async::{Read, Write};
 
 use crate::board::link::{Receive, Send};
 
-/// Bits per second.
-pub const BAUD: u32 = 921_600;
-
 /// Bytes that the driver takes at a time. Between two of them the line idles until the thread comes
 /// by, which at the end of a block is tens of microseconds in 5.5 ms.
 pub const TRANSMIT_BUFFER: usize = 512;

@@ -289,7 +289,7 @@ fn serial_port(
     let out = TRANSMIT.init([0; serial::TRANSMIT_BUFFER]);
     let inbound = RECEIVE.init([0; serial::RECEIVE_BUFFER]);
     let mut config = usart::Config::default();
-    config.baudrate = serial::BAUD;
+    config.baudrate = ihd_shared::wire::SERIAL_BAUD;
     // Without a cable the pin would pick up noise, and a byte takes the answers to this port.
     config.rx_pull = Pull::Up;
     let uart = BufferedUart::new(uart, receive, transmit, out, inbound, Irqs, config).ok()?;
