@@ -14,13 +14,7 @@ mod tests {
     use ihd_firmware::sampling::path::SamplingPath;
     use ihd_firmware::sense::product_sums::{Bounds, PairArithmetic, PlainArithmetic};
     use ihd_on_target::digits;
-    use ihd_shared::lookup::RlLookup;
-    use ihd_shared::lookup::prior::prior;
     use ihd_shared::units::{MicroOhm, PicoHenry};
-    use ihd_shared::wire::deframer::Deframer;
-    use ihd_shared::wire::frame::{MAX_ENCODED, encode_numbered};
-    use ihd_shared::wire::messages::{AnyMessage, SetPower};
-    use ihd_shared::wire::number::Number;
     use static_cell::ConstStaticCell;
 
     use crate::dsp::DspArithmetic;
@@ -83,36 +77,6 @@ mod tests {
             }
         }
         assert!(!DspArithmetic::is_any_beyond(&[], bounds));
-    }
-
-    #[test]
-    fn a_lookup_survives_its_bytes_and_no_changed_bit() {
-        let mut bytes = prior().to_bytes();
-        assert!(RlLookup::from_bytes(&bytes).is_ok_and(|lookup| lookup == prior()));
-        for at in (0..bytes.len()).step_by(7) {
-            bytes[at] ^= 4;
-            assert!(RlLookup::from_bytes(&bytes).is_err());
-            bytes[at] ^= 4;
-        }
-    }
-
-    #[test]
-    fn a_frame_comes_back() {
-        let mut frame = [0; MAX_ENCODED];
-        let number = Number::FIRST.next();
-        let length = encode_numbered(&SetPower { power_w: 1_200 }, number, 7, &mut frame).unwrap();
-        let mut deframer = Deframer::new();
-        let mut heard = 0;
-        for &byte in &frame[..length] {
-            if let Some(Ok(frame)) = deframer.push(byte) {
-                let (repeated, payload) = frame.split();
-                let message = AnyMessage::decode(frame.id, payload).unwrap();
-                assert_eq!(message, AnyMessage::SetPower(SetPower { power_w: 1_200 }));
-                assert_eq!(repeated, number);
-                heard += 1;
-            }
-        }
-        assert_eq!(heard, 1);
     }
 
     /// Index out of range is a panic here too, and a panic fails a test: else none above could.
