@@ -64,17 +64,6 @@ fn the_asked_power_is_reached_and_kept_on_either_mains() {
     }
 }
 
-#[test]
-fn power_follows_requests_up_and_down() {
-    let mut kitchen = Kitchen::new(HobConfig::default());
-    for asked_w in [700, 2_000, 1_000] {
-        assert_reaches(&mut kitchen, asked_w);
-    }
-    kitchen.client.set_power(0).unwrap();
-    let last = kitchen.watch(3).pop().unwrap();
-    assert_eq!((last.state, last.f_sw_hz), (State::Idle, 0));
-}
-
 /// The simulated board makes only frequencies that a board's timers can make.
 #[test]
 fn every_frequency_is_one_that_a_board_can_make() {
@@ -111,12 +100,6 @@ fn new_periods_begin_a_block_after_the_one_that_runs() {
         (before, last) = (last, hob.sampling_path().drive());
     }
     assert!(changes > 10, "{changes}");
-}
-
-#[test]
-fn the_rating_is_reached_above_resonance() {
-    let mut kitchen = Kitchen::new(HobConfig::default());
-    assert_reaches(&mut kitchen, RATED_POWER_W);
 }
 
 /// The hob waits: the bridge is off but for a look now and then, nothing heats and nothing is a fault.

@@ -4,8 +4,6 @@ use std::time::Duration;
 
 use ihd_link::{Client, ClientCounters, DeviceEvent, Transport};
 use ihd_shared::wire::messages::Status;
-use ihd_sim::hob::{HobConfig, SimHob};
-use ihd_sim::transport::SharedHob;
 use ihd_tests::desk_hob::{DeskHob, DeskLink, desk_hello};
 use ihd_tests::faulty_link::{Faults, FaultyLink};
 
@@ -94,32 +92,5 @@ fn a_faulty_link_costs_few_windows_at_length() {
             100.0 * whole(&before)
         );
         assert!(share >= at_least, "{what}: {share} of {:?}", now.0);
-    }
-}
-
-/// The simulated hob, whose link carries 400 kB/s.
-#[test]
-fn so_does_that_of_the_simulated_hob() {
-    costs_few_windows_of_the_simulated_hob(&CASES[2..3]);
-}
-
-#[test]
-fn so_does_that_of_the_simulated_hob_all_variants() {
-    costs_few_windows_of_the_simulated_hob(&CASES);
-}
-
-fn costs_few_windows_of_the_simulated_hob(cases: &[(&str, Faults, f64)]) {
-    for &(what, faults, at_least) in cases {
-        let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
-        let seen = watch(FaultyLink::new(hob, faults, 7), 25);
-        println!(
-            "{what}: {:.1} % of {} windows whole, {} pieces asked for again",
-            100.0 * whole(&seen),
-            seen.1.windows_recorded,
-            seen.0.pieces_asked
-        );
-        // One that is under way at the end counts as recorded.
-        let short = 2.0 / f64::from(seen.1.windows_recorded);
-        assert!(whole(&seen) >= at_least - short, "{what}: {:?}", seen.0);
     }
 }
