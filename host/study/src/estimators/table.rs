@@ -243,7 +243,7 @@ fn verdicts(cells: &[EstimatorsCell]) -> String {
         );
     }
     let compared: Vec<(&EstimatorsCell, RlErrors)> = own(Method::Ekf)
-        .filter_map(|c| Some((c, published::ekf(c.f_sw_hz, c.snr_db)?)))
+        .filter_map(|c| Some((c, published::ekf(c.f_sw_hz, c.snr_db)?.mre)))
         .collect();
     if !compared.is_empty() {
         let below = compared

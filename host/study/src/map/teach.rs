@@ -159,11 +159,11 @@ pub fn identified(segment: &Segment, t_s: f64) -> Result<CurrentCurve, PinnError
     Ok(curve(segment, noise, &(&identified).into(), t_s))
 }
 
-/// Distance of the seeds of two powers, for independent noise.
-const SEEDS_APART: u64 = 1_000;
+/// Distance of the seeds of two runs, for independent noise of each of their windows.
+pub const SEEDS_APART: u64 = 1_000;
 
-/// Time between two powers in seconds.
-const APART_S: f64 = 1.0;
+/// Time between two windows in seconds.
+pub const APART_S: f64 = 1.0;
 
 /// Judges the map made of the curves.
 fn mapped(curves: Vec<CurrentCurve>, truth: &MapTruth) -> LookupJudgement {

@@ -7,7 +7,6 @@ mod figure;
 mod job;
 mod lowpass;
 mod nmse;
-pub mod published;
 pub mod report;
 mod waveforms;
 

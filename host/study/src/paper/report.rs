@@ -5,9 +5,8 @@ use std::fmt::Write;
 use ihd_pinn::PresetLibrary;
 use ihd_sim::recording::settings::LoadKind;
 
-use super::published::pinn;
 use super::{Contender, PaperCell, comparison, distinct, waveforms};
-use crate::estimators::published::ekf;
+use crate::estimators::published::{ekf, pinn};
 
 /// Mean and spread of a quantity over seeds.
 struct Spread {
@@ -160,14 +159,14 @@ fn row(out: &mut String, f_sw_hz: f64, contender: &Contender, cells: &[&PaperCel
 fn published(out: &mut String, f_sw_hz: f64, snr_db: Option<f64>) {
     let khz = f_sw_hz * 1e-3;
     if let Some(p) = pinn(f_sw_hz, snr_db) {
-        let ((r, l), (v, i)) = (p.mre_pct, p.nmse_pct);
+        let (r, l, (v, i)) = (p.mre.r_pct, p.mre.l_pct, p.nmse_pct);
         let _ = writeln!(
             out,
             "| {khz} | *paper's PINN* | {r} | {l} | | | | | | {v} | {i} | | | 31.3 (GPU) | 5000 |"
         );
     }
     if let Some(e) = ekf(f_sw_hz, snr_db) {
-        let (r, l) = (e.r_pct, e.l_pct);
+        let (r, l) = (e.mre.r_pct, e.mre.l_pct);
         let _ = writeln!(
             out,
             "| {khz} | *paper's EKF* | {r} | {l} | | | | | | | | | | 13.2 | – |"

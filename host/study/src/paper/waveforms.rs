@@ -3,9 +3,8 @@
 
 use std::fmt::Write;
 
-use super::published::pinn;
 use super::{Contender, PaperCell, distinct};
-use crate::estimators::published::ekf_nmse;
+use crate::estimators::published::{ekf, pinn};
 
 /// Voltage and current in percent.
 type Pair = (f64, f64);
@@ -67,7 +66,9 @@ fn rows(out: &mut String, cells: &[&PaperCell], frequencies: &[f64]) {
     row("*paper's PINN*", &|f| {
         (pinn(f, snr_db).map(|p| p.nmse_pct), None)
     });
-    row("*paper's EKF*", &|f| (ekf_nmse(f, snr_db), None));
+    row("*paper's EKF*", &|f| {
+        (ekf(f, snr_db).map(|p| p.nmse_pct), None)
+    });
 }
 
 fn mean(

@@ -11,7 +11,7 @@ use ihd_sim::recording::settings::LoadKind;
 
 use super::PotError;
 use crate::map::places::PotPlacement;
-use crate::map::teach::{Point, identified, points};
+use crate::map::teach::{APART_S, Point, SEEDS_APART, identified, points};
 use ihd::cli::simulated::RATED_RMS;
 
 /// Powers in watt at which the first hob has cooked with the pot.
@@ -31,11 +31,7 @@ const LIFT_M: f64 = 1e-3;
 const WINDING_R_OHM: f64 = 0.01;
 const GAIN: f64 = 1.01;
 
-/// Time between two windows in seconds.
-const APART_S: f64 = 1.0;
-
-/// Distance of the seeds of the two hobs, for independent noise.
-const SEEDS_APART: u64 = 1_000;
+/// Distance of the first hob's seeds from the second one's, for independent noise.
 const OF_FIRST: u64 = 500;
 
 /// The pot on the first hob: centred, at its usual height, at room temperature.

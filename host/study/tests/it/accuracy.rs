@@ -40,7 +40,9 @@ fn targets_on_the_reference_load_are_met_at_45_and_70_khz() {
                     within(Method::Pinn, 1.0, 1.0);
                 }
             }
-            let paper = published::ekf(f_sw_hz, snr_db).expect("a cell of the paper");
+            let paper = published::ekf(f_sw_hz, snr_db)
+                .expect("a cell of the paper")
+                .mre;
             within(Method::Ekf, paper.r_pct, paper.l_pct);
             // A smoother that sees the future must not be worse than the filter it smooths.
             let ekf = whole(Method::Ekf);
