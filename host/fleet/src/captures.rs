@@ -71,7 +71,7 @@ pub async fn put(context: &Context, path: &Path, name: &str) -> Result<u64, JetS
     first.map_err(failed)?;
     file.rewind().await.map_err(failed)?;
     remove_remains(context, &store, &head).await?;
-    check_room(context, bytes).await?;
+    check_free_bytes(context, bytes).await?;
     match store.put(name, &mut file).await {
         Ok(info) => Ok(info.size as u64),
         Err(why) => {
@@ -82,7 +82,7 @@ pub async fn put(context: &Context, path: &Path, name: &str) -> Result<u64, JetS
 }
 
 /// Checks that an upload of so many bytes has room: the server would keep its first part and refuse the rest.
-async fn check_room(context: &Context, bytes: u64) -> Result<(), JetStreamError> {
+async fn check_free_bytes(context: &Context, bytes: u64) -> Result<(), JetStreamError> {
     let stream = jetstream::stream(context, names::CAPTURES_STREAM).await?;
     let info = stream.cached_info();
     let Ok(most) = u64::try_from(info.config.max_bytes) else {

@@ -4,7 +4,7 @@
 //!  Edge (edge/): a daemon ── windows ──► IHD_WINDOWS (work queue) ──► worker.rs ──► IHD_RESULTS ──► the edge again
 //!                                                                       └─► IHD_DEAD (dead_letters.rs): given up
 //!  names of edges: claims.rs
-//!  operator: jetstream.rs makes streams and buckets, status.rs reports, captures.rs stores files
+//!  operator: jetstream/ makes streams and buckets, status.rs reports, captures.rs stores files
 //! ```
 //!
 //! A window is published under a number of its own and stays in its edge's store until it is acknowledged. A result has a subject of its
