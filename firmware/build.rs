@@ -6,7 +6,7 @@ use std::{env, fs};
 /// The STM32's flash without the two pages of the last good lookup, and its CCM SRAM.
 const STM32G474: &str = "FLASH : ORIGIN = 0x08000000, LENGTH = 508K\n\
                          CCM : ORIGIN = 0x10000000, LENGTH = 32K\n";
-const MPS2_AN386: &str = "FLASH : ORIGIN = 0x00000000, LENGTH = 508K\n";
+const INSTRUCTION_COUNTS: &str = "FLASH : ORIGIN = 0x00000000, LENGTH = 508K\n";
 /// Linker script of the CCM SRAM.
 const IN_CCM: &str = include_str!("ccm.x");
 
@@ -29,7 +29,7 @@ fn main() {
         // By it the host finds the ELF file that belongs to what is on a chip (firmware/ccm.x places it).
         println!("cargo:rustc-link-arg-bins=--build-id=sha1");
     } else {
-        write(&out.join("flash.x"), MPS2_AN386);
+        write(&out.join("flash.x"), INSTRUCTION_COUNTS);
         write(&out.join("ccm.x"), "");
         // Where a vendor's crate would name its interrupt handlers; this board names its own.
         write(&out.join("device.x"), "");

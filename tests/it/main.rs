@@ -11,9 +11,6 @@ mod control_doc;
 mod document;
 mod document_links;
 mod document_words;
-// Needs the firmware's image and QEMU: `cargo xtask test` builds the one and installs the other.
-#[cfg(feature = "emulator")]
-mod emulated_board;
 mod estimator;
 mod field_loop;
 // Each target is a program of its own, with the modules that it needs.

@@ -20,10 +20,8 @@ pub struct ImageSpec {
 
 /// Image for the controller board.
 pub const STM32G474: ImageSpec = ImageSpec::new("stm32g474", "stm32g474");
-/// Image for QEMU's mps2-an386.
-pub const MPS2_AN386: ImageSpec = ImageSpec::new("mps2-an386", "mps2-an386");
-/// Image that counts instructions on the same machine, and ends.
-pub const COUNTS: ImageSpec = ImageSpec::new("instruction-counts", "mps2-an386,instruction-counts");
+/// Image that counts instructions in QEMU, and ends.
+pub const COUNTS: ImageSpec = ImageSpec::new("instruction-counts", "instruction-counts");
 
 /// Flashes a sealed copy of an image and shows its log, by probe-rs's own command.
 pub fn run_on_board(on: &Workspace, image: &Path) -> anyhow::Result<()> {

@@ -67,7 +67,7 @@ enum Chore {
         #[arg(long)]
         under_load: bool,
     },
-    /// Build the firmware's images: for the board, for the emulator, and to count instructions.
+    /// Build the firmware's images: for the board, and to count instructions.
     #[command(after_help = "Examples:\n  \
         cargo xtask firmware\n  \
         cargo xtask firmware --board boards/120v.toml")]

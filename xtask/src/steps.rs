@@ -8,7 +8,7 @@ use std::{env, thread};
 
 use anyhow::{Context, bail, ensure};
 
-use crate::images::{COUNTS, ImageSpec, MPS2_AN386, STM32G474};
+use crate::images::{COUNTS, ImageSpec, STM32G474};
 use crate::setup::{self, say};
 use crate::workspace::{Workspace, compilations, run, run_apart};
 use crate::{
@@ -19,8 +19,8 @@ use crate::{
 /// Names another NATS server for the fleet's tests than PyPI's.
 const NATS: &str = "IHD_NATS_SERVER";
 
-/// Images; the first one runs in the full tier alone, as the emulated STM32G474 shows the same.
-const IMAGES: [ImageSpec; 3] = [MPS2_AN386, STM32G474, COUNTS];
+/// All images.
+const IMAGES: [ImageSpec; 2] = [STM32G474, COUNTS];
 
 /// Variables that lengthen tests in the full tier, unless they are set by hand.
 const AT_LENGTH: [(&str, &str); 11] = [
@@ -120,7 +120,7 @@ impl TestSession {
         all.into_iter().try_for_each(|tool| tool.map(drop))
     }
 
-    /// Runs all tests of the workspace; the full tier's start the image of the step before in QEMU.
+    /// Runs all tests of the workspace.
     fn tests(&self) -> anyhow::Result<()> {
         let profile = match self.tier {
             Tier::Quick => "--profile default",
@@ -132,8 +132,6 @@ impl TestSession {
                 .iter()
                 .filter(|(name, _)| env::var_os(name).is_none());
             tests.envs(unset.copied());
-            tests.env("IHD_EMULATED_IMAGE", self.image(MPS2_AN386)?);
-            tests.env("IHD_QEMU", emulator::find(&self.workspace, emulator::ARM)?);
         }
         if env::var_os(NATS).is_none() {
             let nats = pypi::tools(&self.workspace, "nats")?;
@@ -174,8 +172,9 @@ impl TestSession {
     }
 
     fn firmware(&self) -> anyhow::Result<()> {
-        let images = &IMAGES[usize::from(self.tier == Tier::Quick)..];
-        (images.iter()).try_for_each(|image| self.image(*image).map(drop))?;
+        IMAGES
+            .iter()
+            .try_for_each(|image| self.image(*image).map(drop))?;
         // Clippy of the host's workspace does not see code that is only compiled for a board.
         let lint = |image: &ImageSpec| image.lint(&self.workspace);
         IMAGES.iter().try_for_each(lint)

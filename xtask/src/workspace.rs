@@ -12,7 +12,7 @@ use anyhow::{Context, ensure};
 use cargo_metadata::MetadataCommand;
 
 /// Features beside each crate's own; the same in all steps, so that they share build results.
-const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe,ihd-tests/emulator";
+const FEATURES: &str = "ihd/fleet,ihd/probe,ihd-debug-port/probe";
 
 /// Packages compiled so far, with their target, and how often.
 static COMPILED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());

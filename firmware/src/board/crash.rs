@@ -1,25 +1,15 @@
 //! The end of the program: panic, processor fault, stack overflow, error of flash or RAM. Outputs
 //! off, crash record, reset.
 
-#![cfg_attr(
-    feature = "instruction-counts",
-    expect(dead_code, reason = "this build reports no crash")
-)]
-
 use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use ihd_firmware::retained::control::RetainedControl;
-#[cfg(feature = "stm32g474")]
 use ihd_firmware::retained::reset::NEXT_BOOTLOADER;
 use ihd_firmware::retained::reset::{CrashRecord, ResetFlags, ResetReason, WORDS};
 
-#[cfg(feature = "stm32g474")]
 use ihd_shared::wire::messages::Program;
 
-#[cfg(feature = "mps2-an386")]
-use super::mps2_an386::safe_state::{outputs_off, stay};
-#[cfg(feature = "stm32g474")]
 use super::stm32g474::safe_state::{is_damaged_page, outputs_off, stay, system_fault};
 
 /// Not cleared at start: memory.x places it outside what start-up code writes.
@@ -30,7 +20,6 @@ static CRASH_RECORD: [AtomicU32; WORDS] = [const { AtomicU32::new(0) }; WORDS];
 #[unsafe(link_section = ".crash_record")]
 static ENDS: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 
-#[cfg(feature = "stm32g474")]
 unsafe extern "C" {
     /// [`NEXT_BOOTLOADER`] and its complement where that is to run next: start-up reads it (`start_up.rs`). The
     /// linker's (memory.x), as a variable that no Rust reads is not written either.
@@ -55,7 +44,6 @@ fn set_ends(ends: u32) {
 
 /// Counts a start after the watchdog; stays there if it is one too many in a row. Power-on and the reset
 /// pin begin anew.
-#[cfg(feature = "stm32g474")]
 pub fn count_start(flags: ResetFlags) {
     if flags.watchdog {
         if count_end() > MAX_ENDS {
@@ -67,7 +55,6 @@ pub fn count_start(flags: ResetFlags) {
 }
 
 /// The program has run for a while.
-#[cfg(feature = "stm32g474")]
 pub fn ran_well() {
     set_ends(0);
 }
@@ -121,7 +108,6 @@ fn write(record: CrashRecord) {
 }
 
 /// Begins anew because a host has asked for it, outputs open.
-#[cfg(feature = "stm32g474")]
 pub fn restart(into: Program) -> ! {
     outputs_off();
     write(CrashRecord {
@@ -163,7 +149,6 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 /// SYSCFG, SYSCFG_CFGR2). In a page of the lookup it is what a power failure leaves, and the page counts as
 /// empty. Elsewhere HRTIM's system fault has opened the bridge already; the number is left for the next
 /// start, as no code is to be trusted from here on.
-#[cfg(feature = "stm32g474")]
 #[cortex_m_rt::exception]
 unsafe fn NonMaskableInt() {
     if is_damaged_page() {

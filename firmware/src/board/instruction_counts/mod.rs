@@ -1,7 +1,10 @@
-//! Counts instructions: under `-icount shift=0` the emulator's clock advances 1 ns each, and
+//! Counts instructions on QEMU's mps2-an386: under `-icount shift=0` the emulator's clock advances 1 ns each, and
 //! SysTick, at 25 MHz, once every 40. Prints one line a subject over semihosting, and ends.
 
+mod float_filter;
+
 use core::hint::black_box;
+use core::panic::PanicInfo;
 
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SYST;
@@ -25,7 +28,7 @@ use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{Raw, WindowChunk};
 
-use super::float_filter::FloatEkf;
+use self::float_filter::FloatEkf;
 use crate::board::dsp::DspArithmetic;
 use crate::board::sampling;
 
@@ -81,6 +84,12 @@ fn block() -> [Pair; ADC_LOCK_P] {
 #[unsafe(link_section = ".vector_table.interrupts")]
 #[unsafe(no_mangle)]
 pub static __INTERRUPTS: [usize; 1] = [0];
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    debug::exit(debug::EXIT_FAILURE);
+    unreachable!("the emulator has ended")
+}
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
