@@ -23,9 +23,6 @@ const SEARCH_BLOCK: u64 = 1 << 16;
 /// Size of a record's opcode and length, in bytes.
 const PREFIX: u64 = chunk::PREFIX as u64;
 
-/// Size of a chunk header up to its message times, in bytes.
-const CHUNK_TIMES: usize = 16;
-
 /// Result of [`McapFrames::step`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameStep {
@@ -52,13 +49,9 @@ pub struct McapFrames {
     passed: Option<u64>,
     body: Vec<u8>,
     chunk: Vec<u8>,
-    /// Message times of the last chunk, in nanoseconds.
-    pub times_ns: (u64, u64),
     cut: bool,
     /// Set at the end; the position of the input then has no meaning.
     ended: bool,
-    /// Time range in nanoseconds; chunks outside it are skipped.
-    pub time_range_ns: (u64, u64),
 }
 
 impl McapFrames {
@@ -96,10 +89,8 @@ impl McapFrames {
             passed: None,
             body: Vec::new(),
             chunk: Vec::new(),
-            times_ns: (0, 0),
             cut: false,
             ended: false,
-            time_range_ns: (0, u64::MAX),
         })
     }
 
@@ -372,13 +363,6 @@ impl McapFrames {
     }
 
     fn take_chunk(&mut self, length: u64) -> Result<FrameStep, McapFileError> {
-        if length >= CHUNK_TIMES as u64 {
-            let times = peek_times(&mut self.input).map_err(|e| self.failed(e))?;
-            self.times_ns = times;
-            if times.0 > self.time_range_ns.1 || times.1 < self.time_range_ns.0 {
-                return self.pass();
-            }
-        }
         self.read_body(length)?;
         let chunk = records::chunk(&self.body).map_err(|why| self.damaged(why))?;
         if chunk.unpacked > MAX_RECORD {
@@ -388,17 +372,4 @@ impl McapFrames {
         unpacked.map_err(|why| self.damaged(why))?;
         Ok(FrameStep::Chunk)
     }
-}
-
-/// Message times of a chunk in nanoseconds; the position is restored.
-fn peek_times(input: &mut BufReader<File>) -> std::io::Result<(u64, u64)> {
-    let mut times = [0; CHUNK_TIMES];
-    input.read_exact(&mut times)?;
-    input.seek_relative(-(CHUNK_TIMES as i64))?;
-    let time = |at: usize| {
-        let mut bytes = [0; 8];
-        bytes.copy_from_slice(&times[at..at + 8]);
-        u64::from_le_bytes(bytes)
-    };
-    Ok((time(0), time(8)))
 }

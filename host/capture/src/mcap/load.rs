@@ -1,4 +1,4 @@
-//! Reading of whole captures, or parts of them.
+//! Reading of whole captures.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,11 +8,9 @@ use ihd_signal::{Capture, FrequencyStep, TimeBase};
 
 use super::McapFileError;
 use super::cdr::{self, SamplesMessage};
-use super::framing::{FrameStep, McapFrames};
 use super::reader::{McapItem, McapMessage, McapReader};
 use super::save::key;
 use super::topics::{FSw, META_CAPTURE, META_FREE, MainsCrossing, Topic};
-use super::writer::nanoseconds;
 
 /// Limit of pairs of a capture in memory: 2.7 s of 50 MS/s, 1 GiB.
 pub const MAX_PAIRS: usize = 1 << 27;
@@ -74,8 +72,7 @@ pub struct SalvagedCapture {
 /// # Errors
 /// [`McapFileError`].
 pub fn read(path: &Path) -> Result<Capture, McapFileError> {
-    let all = (f64::NEG_INFINITY, f64::INFINITY);
-    let salvaged = gather(McapReader::open(path)?, all, &mut Err)?;
+    let salvaged = gather(McapReader::open(path)?, &mut Err)?;
     Ok(salvaged.capture)
 }
 
@@ -84,10 +81,9 @@ pub fn read(path: &Path) -> Result<Capture, McapFileError> {
 /// # Errors
 /// [`McapFileError`] when the file cannot be read, is none, or holds nothing but damage.
 pub fn salvage(path: &Path) -> Result<SalvagedCapture, McapFileError> {
-    let all = (f64::NEG_INFINITY, f64::INFINITY);
     let mut losses = FileLosses::default();
     let mut first = None;
-    let mut salvaged = gather(McapReader::open(path)?, all, &mut |error| {
+    let mut salvaged = gather(McapReader::open(path)?, &mut |error| {
         if !error.is_damage() {
             return Err(error);
         }
@@ -103,26 +99,12 @@ pub fn salvage(path: &Path) -> Result<SalvagedCapture, McapFileError> {
     Ok(salvaged)
 }
 
-/// Reads samples and events from `from_s` to `to_s`, in seconds after the capture's beginning, without unpacking the rest.
-///
-/// # Errors
-/// [`McapFileError`].
-pub fn read_between(path: &Path, from_s: f64, to_s: f64) -> Result<Capture, McapFileError> {
-    let first_ns = lead_in(path, nanoseconds(from_s))?;
-    let reader = McapReader::open(path)?.between(first_ns, nanoseconds(to_s));
-    Ok(gather(reader, (from_s, to_s), &mut Err)?.capture)
-}
-
 /// Handler of an error: ends with it, or continues.
 pub(super) type OnError<'a> = &'a mut dyn FnMut(McapFileError) -> Result<(), McapFileError>;
 
-fn gather(
-    mut reader: McapReader,
-    (from_s, to_s): (f64, f64),
-    on_error: OnError<'_>,
-) -> Result<SalvagedCapture, McapFileError> {
+fn gather(mut reader: McapReader, on_error: OnError<'_>) -> Result<SalvagedCapture, McapFileError> {
     let mut builder = CaptureBuilder::new(reader.path());
-    while take_item(&mut reader, &mut builder, (from_s, to_s), on_error)? {
+    while take_item(&mut reader, &mut builder, on_error)? {
         if builder.capture.len() > MAX_PAIRS {
             return Err(McapFileError::TooManyPairs {
                 path: reader.path().into(),
@@ -144,14 +126,13 @@ fn gather(
 pub(super) fn take_item(
     reader: &mut McapReader,
     builder: &mut CaptureBuilder,
-    (from_s, to_s): (f64, f64),
     on_error: OnError<'_>,
 ) -> Result<bool, McapFileError> {
     let result = match reader.next_item() {
         Ok(None) => return Ok(false),
         Err(error) => return on_error(error).map(|()| true),
         Ok(Some(McapItem::Metadata { name, entries })) => builder.take_metadata(&name, entries),
-        Ok(Some(McapItem::Message(message))) => builder.take_message(message, from_s, to_s),
+        Ok(Some(McapItem::Message(message))) => builder.take_message(message),
     };
     if let Err(why) = result {
         on_error(reader.damaged(why))?;
@@ -199,19 +180,17 @@ impl CaptureBuilder {
         Ok(())
     }
 
-    fn take_message(&mut self, m: McapMessage<'_>, from_s: f64, to_s: f64) -> Result<(), String> {
+    fn take_message(&mut self, m: McapMessage<'_>) -> Result<(), String> {
         let wrong =
             |what: &dyn std::fmt::Display| format!("a message of {}: {what}", m.topic.name());
         match m.topic {
             Topic::Samples => {
                 let samples = cdr::read_samples(m.data, m.as_codes).map_err(|e| wrong(&e))?;
-                self.take_samples(&samples, from_s, to_s);
+                self.take_samples(&samples);
             }
             Topic::Truth => {
                 let truth = cdr::read_truth(m.data).map_err(|e| wrong(&e))?;
-                if (from_s..=to_s).contains(&truth.t_s) {
-                    self.capture.truth.push(truth);
-                }
+                self.capture.truth.push(truth);
             }
             Topic::FSw => {
                 let step: FSw = serde_json::from_slice(m.data).map_err(|e| wrong(&e))?;
@@ -242,14 +221,15 @@ impl CaptureBuilder {
         Ok(())
     }
 
-    fn take_samples(&mut self, samples: &SamplesMessage, from_s: f64, to_s: f64) {
-        let mut inside = (0..samples.len()).filter(|&k| (from_s..=to_s).contains(&samples.at(k)));
-        let Some(first) = inside.next() else { return };
+    fn take_samples(&mut self, samples: &SamplesMessage) {
+        if samples.is_empty() {
+            return;
+        }
         let capture = &mut self.capture;
         let have = capture.len();
         if have == 0 {
             capture.time = TimeBase::Even {
-                t0_s: samples.at(first),
+                t0_s: samples.at(0),
                 dt_s: samples.dt_s,
             };
         }
@@ -257,13 +237,13 @@ impl CaptureBuilder {
             let due_s = t0_s + have as f64 * dt_s;
             let even = samples.t_s.is_empty()
                 && samples.dt_s == dt_s
-                && (samples.at(first) - due_s).abs() <= 1e-3 * dt_s;
+                && (samples.at(0) - due_s).abs() <= 1e-3 * dt_s;
             if !even {
                 let stamps = (0..have).map(|k| t0_s + k as f64 * dt_s).collect();
                 capture.time = TimeBase::Stamps(stamps);
             }
         }
-        for k in std::iter::once(first).chain(inside) {
+        for k in 0..samples.len() {
             if let Some((v, i)) = samples.pair(k) {
                 capture.v_v.push(v);
                 capture.i_a.push(i);
@@ -271,24 +251,6 @@ impl CaptureBuilder {
                     stamps.push(samples.at(k));
                 }
             }
-        }
-    }
-}
-
-/// Offset from which everything from `at_ns` on can be read. A message carries the time of its first pair, so it may begin in the
-/// chunk before the last one that begins by then.
-fn lead_in(path: &Path, at_ns: u64) -> Result<u64, McapFileError> {
-    let mut frames = McapFrames::open(path)?;
-    // Only the times of the chunks are read.
-    frames.time_range_ns = (u64::MAX, 0);
-    let mut starts = [0, 0];
-    loop {
-        match frames.step()? {
-            FrameStep::End => return Ok(starts[0]),
-            FrameStep::Skipped if frames.times_ns.0 <= at_ns && frames.times_ns.0 > starts[1] => {
-                starts = [starts[1], frames.times_ns.0];
-            }
-            _ => {}
         }
     }
 }
@@ -375,24 +337,5 @@ mod tests {
         jittering.time = TimeBase::Stamps(t_s.collect());
         write(&jittering, &path).unwrap();
         assert_same(&read(&path).unwrap(), &jittering, &path);
-    }
-
-    #[test]
-    fn a_part_is_the_part_of_the_whole() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("a.mcap");
-        let whole = capture(Rate::Hz(200e6));
-        write(&whole, &path).unwrap();
-        let part = read_between(&path, 1.1e-3, 3.1e-3).unwrap();
-        let TimeBase::Even { t0_s, dt_s } = part.time else {
-            panic!("even");
-        };
-        assert!((t0_s - 1.1e-3).abs() < 1.5 * dt_s && part.len().abs_diff(400_000) < 2);
-        let from = (t0_s / dt_s).round() as usize;
-        assert!(part.v_v[..] == whole.v_v[from..][..part.len()]);
-        assert_eq!(part.f_sw, whole.f_sw);
-        assert_eq!(part.zero_crossing_s, whole.zero_crossing_s);
-        let inside = |t: &&ihd_signal::truth::PeriodTruth| (1.1e-3..=3.1e-3).contains(&t.t_s);
-        assert_eq!(part.truth.len(), whole.truth.iter().filter(inside).count());
     }
 }

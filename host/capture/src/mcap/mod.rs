@@ -26,7 +26,7 @@ pub mod topics;
 pub mod writer;
 
 pub use error::McapFileError;
-pub use load::{FileLosses, SalvagedCapture, read, read_between, salvage};
+pub use load::{FileLosses, SalvagedCapture, read, salvage};
 pub use notes::link_counters;
 pub use reader::McapReader;
 pub use save::write;

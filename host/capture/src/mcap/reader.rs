@@ -11,9 +11,6 @@ use super::framing::{FrameStep, McapFrames};
 use super::records;
 use super::topics::{MessageLayout, PROFILE, SAMPLES_I16, Topic};
 
-/// Library name that our own writer puts into the header: its files have every channel in the first chunk.
-const OUR_LIBRARY: &str = "ihd ";
-
 /// Item of a capture file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum McapItem<'a> {
@@ -55,9 +52,6 @@ pub struct McapReader {
     channels: BTreeMap<u16, Option<Channel>>,
     /// Offset of the next record in the unpacked chunk; `None` between chunks.
     in_chunk: Option<usize>,
-    /// Set if parts of the file may be skipped.
-    indexed: bool,
-    time_range_ns: (u64, u64),
 }
 
 impl McapReader {
@@ -71,15 +65,13 @@ impl McapReader {
             schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             in_chunk: None,
-            indexed: false,
-            time_range_ns: (0, u64::MAX),
         };
         match reader.frames.step()? {
             FrameStep::Record(op::HEADER) => {}
             _ => return Err(McapFileError::NotMcap { path: path.into() }),
         }
         let header = records::header(reader.frames.record());
-        let (profile, library) = header.map_err(|why| reader.frames.damaged(why))?;
+        let (profile, _library) = header.map_err(|why| reader.frames.damaged(why))?;
         if profile != PROFILE {
             let kind = PROFILE.split(' ').next().unwrap_or_default();
             let hint = if profile.starts_with(kind) {
@@ -93,15 +85,7 @@ impl McapReader {
                 hint,
             });
         }
-        reader.indexed = library.starts_with(OUR_LIBRARY);
         Ok(reader)
-    }
-
-    /// Restricts reading to samples and truth from `from_ns` to `to_ns` after the beginning of the capture; other chunks are not
-    /// read from disk.
-    pub fn between(mut self, from_ns: u64, to_ns: u64) -> Self {
-        self.time_range_ns = (from_ns, to_ns);
-        self
     }
 
     /// Returns `true` if the file ends without its end mark; the complete part was read.
@@ -150,7 +134,7 @@ impl McapReader {
                     let body = self.frames.record();
                     let taken = take(opcode, body, &mut self.schemas, &mut self.channels);
                     let taken = taken.map_err(|why| self.frames.damaged(why))?;
-                    if let Some(message) = taken.filter(|m| self.wants(m)) {
+                    if let Some(message) = taken {
                         break MessagePlace {
                             from: self.frames.record().len() - message.data_len,
                             to: self.frames.record().len(),
@@ -191,15 +175,7 @@ impl McapReader {
         step
     }
 
-    fn wants(&self, message: &Header) -> bool {
-        let bulk = matches!(
-            message.channel.topic,
-            Topic::Samples | Topic::CleanSamples | Topic::Truth
-        );
-        !bulk || (self.time_range_ns.0..=self.time_range_ns.1).contains(&message.log_time_ns)
-    }
-
-    /// Returns the chunk's record at `at` if it is a selected message.
+    /// Returns the chunk's record at `at` if it is a message of a known topic.
     fn advance_in_chunk(&mut self, at: usize) -> Result<Option<MessagePlace>, McapFileError> {
         let record = record_at(self.frames.chunk(), at);
         let record = match record {
@@ -211,16 +187,12 @@ impl McapReader {
         };
         let Some((raw, next)) = record else {
             self.in_chunk = None;
-            // Every channel is known from here on.
-            if self.indexed {
-                self.frames.time_range_ns = self.time_range_ns;
-            }
             return Ok(None);
         };
         self.in_chunk = Some(next);
         let taken = take(raw.opcode, raw.body, &mut self.schemas, &mut self.channels);
         let taken = taken.map_err(|why| self.frames.damaged(why))?;
-        Ok(taken.filter(|m| self.wants(m)).map(|message| MessagePlace {
+        Ok(taken.map(|message| MessagePlace {
             from: next - message.data_len,
             to: next,
             in_chunk: true,

@@ -48,9 +48,8 @@ impl CaptureStream {
             first.get_or_insert(error);
             Ok(())
         };
-        let all = (f64::NEG_INFINITY, f64::INFINITY);
         while !self.ended && self.builder.capture.len() < pairs {
-            self.ended = !take_item(&mut self.reader, &mut self.builder, all, &mut skip)?;
+            self.ended = !take_item(&mut self.reader, &mut self.builder, &mut skip)?;
         }
         let nothing = self.ended && !self.taken && self.held().is_empty();
         match self.first_damage.take() {

@@ -23,7 +23,7 @@ pub const PART_PAIRS: usize = 1 << 21;
 const MIN_S: f64 = 25e-3;
 
 /// Most pairs of a part, whatever its duration.
-const MOST_PAIRS: usize = 1 << 24;
+const MAX_PAIRS: usize = 1 << 24;
 
 /// Reader of a capture's parts.
 pub struct PartReader {
@@ -171,7 +171,7 @@ fn lasting(held: &Capture, pairs: usize) -> usize {
     };
     let least = MIN_S / dt_s;
     if least.is_finite() && least > pairs as f64 {
-        (least as usize).min(MOST_PAIRS).max(pairs)
+        (least as usize).min(MAX_PAIRS).max(pairs)
     } else {
         pairs
     }

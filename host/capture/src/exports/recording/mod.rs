@@ -20,7 +20,7 @@ pub use csv::{half_cycles_csv, samples_csv};
 pub use npz::recording_npz;
 
 /// Limit of buffered pairs of a window without an end; a device's windows have about 20 000.
-const MOST_PAIRS: usize = 1 << 18;
+const MAX_PAIRS: usize = 1 << 18;
 
 /// Note of a recording: time of its trigger, in seconds after its beginning.
 const TRIGGER_S: &str = "trigger_s";
@@ -127,7 +127,7 @@ impl Rows {
         match m.topic {
             Topic::Samples => {
                 if let Ok(samples) = read_samples(m.data, m.as_codes)
-                    && self.pairs.len() + samples.len() <= MOST_PAIRS
+                    && self.pairs.len() + samples.len() <= MAX_PAIRS
                 {
                     self.samples(&samples);
                 }
