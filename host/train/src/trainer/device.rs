@@ -24,9 +24,6 @@ const STOP_CHECK_PERIOD: Duration = Duration::from_millis(100);
 /// Longest wait for an event or a window, in device time.
 pub(super) const TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Times that an idempotent command is sent.
-const MAX_SENDS: usize = 3;
-
 /// Truth by half-cycle number of the device, from a simulated hob; `None` on a real one.
 pub type TruthSource = Option<Box<dyn Fn(u32) -> Option<Truth>>>;
 
@@ -112,22 +109,15 @@ impl<'a> Device<'a> {
             .unwrap_or_default()
     }
 
-    /// Sends an idempotent command until it is answered, three times at most.
+    /// Sends a command; the client repeats it until it is answered ([`Client::request`]).
     pub fn command<T>(
         &mut self,
-        mut command: impl FnMut(&mut Client) -> Result<T, LinkError>,
+        command: impl FnOnce(&mut Client) -> Result<T, LinkError>,
     ) -> Result<T, TrainerError> {
-        let mut tries = 1;
-        loop {
-            let client = self.client()?;
-            match command(client) {
-                Err(LinkError::NoAnswer { .. }) if tries < MAX_SENDS => tries += 1,
-                answer => {
-                    self.last_sent = client.clock();
-                    return Ok(answer?);
-                }
-            }
-        }
+        let client = self.client()?;
+        let answer = command(client);
+        self.last_sent = client.clock();
+        Ok(answer?)
     }
 
     /// Starts telemetry and windows.
