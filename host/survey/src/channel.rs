@@ -17,7 +17,7 @@ const OFFSET_PCT: f64 = 1.0;
 const MAX_V: f64 = 2e3;
 
 /// Largest current of a hob's coil; a larger one means a wrong probe factor. 3.7 kW at 230 V take 80 A at the crest.
-const LARGEST_A: f64 = 300.0;
+const MAX_A: f64 = 300.0;
 
 /// SNR in decibel below which it is reported: the paper's noisiest case is 30.
 const NOISY_DB: f64 = 25.0;
@@ -165,7 +165,7 @@ fn report(
     }
     let most = match which {
         Channel::Voltage => MAX_V,
-        Channel::Current => LARGEST_A,
+        Channel::Current => MAX_A,
     };
     let peak = c.max.abs().max(c.min.abs());
     if peak > most {

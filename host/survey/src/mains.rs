@@ -94,25 +94,15 @@ pub fn find(
         true => Search::Free(RANGE_HZ.0, RANGE_HZ.1),
         false => Search::Nominal,
     };
-    let of_hz = |hz: Option<f64>| match hz {
-        Some(hz) => Search::At(hz, search.law()),
-        None => search,
-    };
-    let measured = seen.then(|| fit(&envelopes, of_hz(specified_hz))).flatten();
-    if let (Some(specified_hz), true) = (specified_hz, seen && search != Search::Nominal) {
-        let own = fit(&envelopes, search);
-        // Half-cycles with pauses between them fit several frequencies equally well.
-        let as_told = measured.map_or(1.0, |told| told.unexplained);
-        let better = |own: &Fit| {
-            as_told > MAX_UNEXPLAINED_SHARE && own.unexplained < MAX_UNEXPLAINED_RATIO * as_told
-        };
-        let differs = |own: &Fit| (own.hz - specified_hz).abs() > DIFFERS_HZ && better(own);
-        if let Some(own) = own.filter(differs) {
-            findings.push(Finding::MainsDiffers {
-                specified_hz,
-                measured_hz: own.hz,
-            });
-        }
+    let of_specified = specified_hz.map_or(search, |hz| Search::At(hz, search.law()));
+    let measured = seen.then(|| fit(&envelopes, of_specified)).flatten();
+    if let (Some(specified_hz), true) = (specified_hz, seen && search != Search::Nominal)
+        && let Some(measured_hz) = better_hz(&envelopes, search, specified_hz, measured)
+    {
+        findings.push(Finding::MainsDiffers {
+            specified_hz,
+            measured_hz,
+        });
     }
     if seen && specified_hz.is_none() {
         let shown_hz = time_base::no_grids_hz(&envelopes, measured, &coverage);
@@ -151,6 +141,21 @@ pub fn find(
         });
     }
     mains
+}
+
+/// Returns the frequency of the envelope's own fit if it explains the envelope better than `specified`, the fit at `specified_hz`.
+fn better_hz(
+    envelopes: &[PieceEnvelope],
+    search: Search,
+    specified_hz: f64,
+    specified: Option<Fit>,
+) -> Option<f64> {
+    let own = fit(envelopes, search)?;
+    let unexplained = specified.map_or(1.0, |fit| fit.unexplained);
+    // Half-cycles with pauses between them fit several frequencies equally well.
+    let is_better = unexplained > MAX_UNEXPLAINED_SHARE
+        && own.unexplained < MAX_UNEXPLAINED_RATIO * unexplained;
+    ((own.hz - specified_hz).abs() > DIFFERS_HZ && is_better).then_some(own.hz)
 }
 
 /// Means of an envelope over [`SPACING_S`].

@@ -12,7 +12,7 @@ use super::time::Run;
 pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
 /// Least switching periods per frame, and the largest number of them.
-const LEAST_PERIODS: f64 = 3.0;
+const MIN_PERIODS: f64 = 3.0;
 const MAX_PERIODS: f64 = 30.0;
 
 /// Most that a load turns the phase over a piece, in radian: less than that from full to no saturation.
@@ -85,9 +85,9 @@ fn samples_per_frame(per_period: f64) -> usize {
     let least = if per_period > 2.0 {
         (2.0 / (per_period - 2.0))
             .ceil()
-            .clamp(LEAST_PERIODS, MAX_PERIODS)
+            .clamp(MIN_PERIODS, MAX_PERIODS)
     } else {
-        LEAST_PERIODS
+        MIN_PERIODS
     };
     let lengths = (0..5).map(|more| (least + f64::from(more)) * per_period);
     let mismatch = |n: &f64| (n - n.round()).abs() / n;

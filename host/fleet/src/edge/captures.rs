@@ -16,7 +16,7 @@ use crate::names;
 const PART: &str = "captures";
 
 /// Longest pause before a recording is tried again.
-const LONGEST_PAUSE: Duration = Duration::from_secs(3_600);
+const MAX_PAUSE: Duration = Duration::from_secs(3_600);
 
 /// Recordings that failed: time of the next try, and the pause before it.
 type Paused = BTreeMap<String, (Instant, Duration)>;
@@ -98,7 +98,7 @@ async fn upload_new(
                 let why = format!("{name}: {}", why.why);
                 link.failed(PART, &why);
                 let before = paused.get(&name).map_or(POLL_PERIOD, |(_, pause)| *pause);
-                let pause = (2 * before).min(LONGEST_PAUSE);
+                let pause = (2 * before).min(MAX_PAUSE);
                 paused.insert(name, (Instant::now() + pause, pause));
             }
         }

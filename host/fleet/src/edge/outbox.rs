@@ -7,8 +7,9 @@ use std::time::Duration;
 
 use ihd_daemon::StoreThreadError;
 use ihd_daemon::learning::WorkerAnswer;
-use ihd_model::EventKind;
+use ihd_model::{DaemonEvent, EventKind};
 use ihd_store::{DeliveryState, DueWindow, FleetMark, OutboxItem, StoreError};
+use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
@@ -52,14 +53,8 @@ enum SendError {
 
 /// Sends due windows until the edge stops.
 pub async fn run(link: Arc<Link>) {
-    let message_ids = loop {
-        match link.daemon.fleet().secret().await {
-            Ok(secret) => break MessageIds::new(secret),
-            Err(why) => link.failed("store", &why),
-        }
-        if !link.wait(RETRY_PAUSE).await {
-            return;
-        }
+    let Some(message_ids) = read_message_ids(&link).await else {
+        return;
     };
     let mut notices = link.daemon.watch();
     let mut resent_at: Option<Instant> = None;
@@ -96,20 +91,35 @@ pub async fn run(link: Arc<Link>) {
                 continue;
             }
         }
-        let stored = async {
-            loop {
-                match notices.recv().await {
-                    Ok(notice) if matches!(notice.kind, EventKind::WindowStored { .. }) => return,
-                    Ok(_) => {}
-                    Err(RecvError::Lagged(_)) => return,
-                    // The daemon is stopping, and with it the edge.
-                    Err(RecvError::Closed) => std::future::pending().await,
-                }
-            }
-        };
-        let next = tokio::time::timeout(POLL_PERIOD, stored);
+        let next = tokio::time::timeout(POLL_PERIOD, wait_for_window(&mut notices));
         if link.unless_stopping(next).await.is_none() {
             return;
+        }
+    }
+}
+
+/// Reads the secret of the messages' ids, as often as needed; `None` if the edge stops before.
+async fn read_message_ids(link: &Link) -> Option<MessageIds> {
+    loop {
+        match link.daemon.fleet().secret().await {
+            Ok(secret) => return Some(MessageIds::new(secret)),
+            Err(why) => link.failed("store", &why),
+        }
+        if !link.wait(RETRY_PAUSE).await {
+            return None;
+        }
+    }
+}
+
+/// Waits until the daemon has stored a window.
+async fn wait_for_window(notices: &mut Receiver<Arc<DaemonEvent>>) {
+    loop {
+        match notices.recv().await {
+            Ok(notice) if matches!(notice.kind, EventKind::WindowStored { .. }) => return,
+            Ok(_) => {}
+            Err(RecvError::Lagged(_)) => return,
+            // The daemon is stopping, and with it the edge.
+            Err(RecvError::Closed) => std::future::pending().await,
         }
     }
 }

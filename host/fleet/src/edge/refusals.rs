@@ -11,7 +11,7 @@ use tokio::time::Instant;
 pub const RETRY_PAUSE: Duration = Duration::from_secs(2);
 
 /// Longest pause between two tries with a hob that alone is refused.
-const LONGEST_PAUSE: Duration = Duration::from_secs(60);
+const MAX_PAUSE: Duration = Duration::from_secs(60);
 
 /// Time after which a refusal is an alarm though nothing else is served.
 const ALARM_AFTER: Duration = Duration::from_secs(60);
@@ -64,7 +64,7 @@ impl Refusals {
             true => RETRY_PAUSE * 2_u32.saturating_pow(refusal.times.min(10) - 1),
             false => RETRY_PAUSE,
         };
-        refusal.next = Instant::now() + pause.min(LONGEST_PAUSE);
+        refusal.next = Instant::now() + pause.min(MAX_PAUSE);
         refusal.times == 1
     }
 

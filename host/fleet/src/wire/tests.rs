@@ -88,7 +88,7 @@ fn the_bytes_of_this_version_stay() {
         ("answer", answer().to_bytes().unwrap()),
     ] {
         let path = golden(name);
-        if std::env::var_os("UPDATE_GOLDEN").is_some() {
+        if std::env::var_os("UPDATE_WIRE").is_some() {
             std::fs::write(&path, &bytes).unwrap();
         }
         let stored: Value = unpack(&std::fs::read(&path).unwrap()).unwrap();
