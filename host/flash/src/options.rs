@@ -71,11 +71,6 @@ impl OptionBytes {
         self.optr & DBANK != 0
     }
 
-    /// Returns `true` if the parity of SRAM1 and CCM SRAM is checked.
-    pub fn has_parity(&self) -> bool {
-        self.optr & SRAM_PE == 0
-    }
-
     /// Returns `true` if the pin BOOT0 chooses between flash and bootloader, `false` if the option bit nBOOT0 does.
     pub fn boots_by_pin(&self) -> bool {
         self.optr & N_SWBOOT0 != 0

@@ -10,7 +10,7 @@ const LASTS_S: f64 = 60.0;
 const MAX_LEVEL_VARIANCE: f64 = 1.0;
 
 /// Largest drift, and largest surprise that changes it, in standard deviations.
-const MOST_DEVIATIONS: f64 = 10.0;
+const MAX_DEVIATIONS: f64 = 10.0;
 
 /// Kalman filter of a level and its drift, which is an Ornstein-Uhlenbeck process. The level is relative to that of the curve.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -60,9 +60,9 @@ impl Drift {
         let all = self.level_variance + variance;
         let gains = [self.level_variance / all, self.covariance / all];
         let surprise = level - expected;
-        let most = MOST_DEVIATIONS * DRIFT_PER_S[quantity];
+        let most = MAX_DEVIATIONS * DRIFT_PER_S[quantity];
         // A jump is no drift.
-        let likely = MOST_DEVIATIONS * all.sqrt();
+        let likely = MAX_DEVIATIONS * all.sqrt();
         let turned = gains[1] * surprise.clamp(-likely, likely);
         self.per_s = (self.per_s + turned).clamp(-most, most);
         self.per_s_variance = (self.per_s_variance - gains[1] * self.covariance).max(0.0);
@@ -73,7 +73,7 @@ impl Drift {
 
     /// Returns `true` if windows can have produced these numbers.
     pub fn is_sound(&self) -> bool {
-        let most = MOST_DEVIATIONS * DRIFT_PER_S[0];
+        let most = MAX_DEVIATIONS * DRIFT_PER_S[0];
         self.per_s.abs() <= most
             && (0.0..=MAX_LEVEL_VARIANCE).contains(&self.level_variance)
             && self.per_s_variance >= 0.0

@@ -24,7 +24,7 @@ pub struct Map {
     pub r_ohm: Vec<Vec<f64>>,
     /// L at that amplitude, in henry.
     pub l_h: Vec<Vec<f64>>,
-    /// P: mean power over a mains half-cycle whose current follows |sin| up to that amplitude, in watt.
+    /// P: mean power over a mains half-cycle whose voltage follows |sin| up to that at this amplitude, in watt.
     pub power_w: Vec<Vec<f64>>,
     /// `true` for cells that rest on observations.
     pub observed: Vec<Vec<bool>>,

@@ -16,7 +16,7 @@ use super::{RawSamples, Samples, Segment, fourier};
 const MAX_PERIODS: f64 = 96.0;
 
 /// Fewest switching periods of a frame, used for short segments.
-const LEAST_PERIODS: f64 = 12.0;
+const MIN_PERIODS: f64 = 12.0;
 
 /// Number of frames into which short segments are divided.
 const WANTED_FRAMES: f64 = 6.0;
@@ -195,10 +195,10 @@ impl Frames {
         }
         let block = ((samples_per_period / KEPT_PER_PERIOD) as usize).max(1);
         let per_period = samples_per_period / block as f64;
-        let ideal = (periods / WANTED_FRAMES).clamp(LEAST_PERIODS + 1.0, MAX_PERIODS) * per_period;
+        let ideal = (periods / WANTED_FRAMES).clamp(MIN_PERIODS + 1.0, MAX_PERIODS) * per_period;
         // A transform over a multiple of 16 points is fast.
         let points = ((ideal / 16.0).ceil() as usize * 16).min((samples / block).saturating_sub(3));
-        if (points as f64) < LEAST_PERIODS * per_period {
+        if (points as f64) < MIN_PERIODS * per_period {
             return None;
         }
         // The low-pass reaches three blocks beyond the last.

@@ -15,7 +15,7 @@ type Phasor = Complex<f64>;
 const WINDOW: f64 = 1.0;
 
 /// Fewest switching periods of a window: its lobe of 3 bins keeps the other harmonics out.
-const LEAST_PERIODS: f64 = 6.0;
+const MIN_PERIODS: f64 = 6.0;
 
 /// Windows per window length.
 const OVERLAP: f64 = 4.0;
@@ -133,7 +133,7 @@ impl Windows {
         let per_period = 1.0 / fit.periods_per_sample;
         let block = ((per_period / 16.0).round() as usize).max(1);
         let interval = samples as f64 / (fit.spline.functions().saturating_sub(3).max(1)) as f64;
-        let length = (WINDOW * interval).max(LEAST_PERIODS * per_period);
+        let length = (WINDOW * interval).max(MIN_PERIODS * per_period);
         let blocks = (length / block as f64).round() as usize;
         let hop = ((blocks as f64 / OVERLAP).round() as usize).max(1);
         let all = samples / block;

@@ -30,7 +30,7 @@ const MEASURED_TO_V: f64 = 0.6;
 const MAX_BUS_V: f64 = 66.0;
 
 /// Amplitude of the current at which the test ends, in ampere: at 60 V a pot takes 2.7 A, an aluminium pan 9 A.
-const MOST_A: f64 = 5.0;
+const MAX_A: f64 = 5.0;
 
 /// Time limit of switching, and the number of windows that suffice.
 const SWITCHES_FOR: Duration = Duration::from_secs(5);
@@ -194,7 +194,7 @@ impl SwitchingRecord {
                 self.i_a = self.i_a.max(f64::from(t.i_crest_ma) * 1e-3);
                 if self.bus_v > MAX_BUS_V {
                     self.ended_by = Some(format!("the bus rose to {:.1} V", self.bus_v));
-                } else if self.i_a > MOST_A {
+                } else if self.i_a > MAX_A {
                     self.ended_by = Some(format!("the coil's current rose to {:.1} A", self.i_a));
                 }
             }

@@ -5,6 +5,7 @@ mod detect;
 
 use std::ops::Range;
 
+use ihd_signal::segment::MIN_PERIODS;
 use ihd_signal::{Remark, Segment, Severity};
 
 use self::detect::Step;
@@ -15,9 +16,6 @@ const GUARD_PERIODS: f64 = 2.0;
 
 /// Switching periods that are left out beside a short piece.
 const MIN_GUARD_PERIODS: f64 = 1.0;
-
-/// Fewest switching periods of a piece that is identified.
-const LEAST_PERIODS: f64 = ihd_signal::segment::MIN_PERIODS;
 
 /// Steps of the load in a segment, in order of time.
 #[derive(Clone, Debug)]
@@ -88,10 +86,10 @@ fn joined(
         let (from_s, to_s) = piece.between_s;
         let part = segment.part(piece.samples.start, piece.samples.end);
         let periods = part.len() as f64 / part.samples_per_period();
-        let result = if periods < LEAST_PERIODS {
+        let result = if periods < MIN_PERIODS {
             Err(ihd_signal::SegmentError::TooShort {
                 periods,
-                needed: LEAST_PERIODS,
+                needed: MIN_PERIODS,
             }
             .into())
         } else {
@@ -108,7 +106,7 @@ fn joined(
                 let left_out = Remark::new("piece_left_out", Severity::Warning, text);
                 whole
                     .remarks
-                    .push(left_out.with(periods, Some(LEAST_PERIODS)));
+                    .push(left_out.with(periods, Some(MIN_PERIODS)));
                 failed = Some(e);
             }
         }
@@ -145,7 +143,7 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
             let sides = usize::from(k > 0) + usize::from(k < last);
             let periods = (to - from) as f64 / per_period;
             // One sample more on either side for rounding.
-            let needed = LEAST_PERIODS + 2.0 / per_period;
+            let needed = MIN_PERIODS + 2.0 / per_period;
             let spare = (periods - needed) / sides.max(1) as f64;
             let guard = spare.clamp(MIN_GUARD_PERIODS, GUARD_PERIODS) * per_period;
             let inner = |side: bool| if side { guard.round() as usize } else { 0 };

@@ -1,4 +1,4 @@
-//! The five commands of docs/fleet.md: the real edge and the real worker, each with the key that `ihd-fleet init server-config` made.
+//! The four commands of docs/fleet.md: the real edge and the real worker, each with the key that `ihd-fleet init server-config` made.
 
 use std::fs;
 use std::path::{Path, PathBuf};

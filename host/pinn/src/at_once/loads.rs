@@ -27,7 +27,6 @@ pub(super) enum Kind {
 
 impl Kind {
     pub const LEARNED: [Self; 4] = [Self::Falling, Self::Hump, Self::Constant, Self::Drifting];
-    pub const UNLIKE: [Self; 2] = [Self::Knee, Self::Moving];
 }
 
 /// A load with its operating point.

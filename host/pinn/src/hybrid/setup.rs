@@ -12,7 +12,7 @@ use crate::waveform::NormalisedWaveform;
 use crate::{PinnConfig, PinnError};
 
 /// Fewest switching periods of a spline's interval, so that the harmonics can be distinguished.
-const LEAST_PERIODS: f64 = 3.0;
+const MIN_PERIODS: f64 = 3.0;
 
 /// Functions of the VI branch; an error if the samples cannot distinguish them.
 pub(super) fn harmonic_basis(
@@ -50,7 +50,7 @@ fn spline(samples: &NormalisedWaveform, intervals: usize, config: &PinnConfig) -
         let variance = (sigma / unit).powi(2) / samples.block as f64;
         quiet_interval_s(variance / mean_square, samples.dt_s, half_cycle_s)
     });
-    let least_s = LEAST_PERIODS * TAU / samples.omega;
+    let least_s = MIN_PERIODS * TAU / samples.omega;
     CubicSpline::graded(intervals, duration_s, quiet_s.fold(least_s, f64::max))
 }
 
@@ -81,7 +81,7 @@ fn check_length(
     for (needed, why) in [
         (4 * basis.len(), "four per unknown"),
         (
-            (LEAST_PERIODS * per_period * intervals as f64).ceil() as usize,
+            (MIN_PERIODS * per_period * intervals as f64).ceil() as usize,
             "three switching periods per spline interval",
         ),
     ] {

@@ -6,7 +6,7 @@ use super::settings::{CaptureSpec, LoadKind};
 use crate::inverter::InverterError;
 
 /// Smallest current amplitude that counts, in ampere.
-const SMALLEST_A: f64 = 2.0;
+const MIN_A: f64 = 2.0;
 
 /// Mean relative deviations in percent over the second half-cycle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,7 +33,7 @@ pub fn surrogate_against_field(settings: &CaptureSpec) -> Result<TableDeviation,
     let law = surrogate_pot(&settings.pot, settings.winding_r_ohm)?.at(settings.f_sw_hz);
     let from_s = 0.5 / settings.mains_hz;
     let pairs: Vec<_> = (field.truth.iter().zip(&surrogate.truth))
-        .filter(|(f, _)| f.t_s > from_s && f.i_a > SMALLEST_A)
+        .filter(|(f, _)| f.t_s > from_s && f.i_a > MIN_A)
         .collect();
     let mean = |value: &dyn Fn(usize) -> f64| {
         100.0 * (0..pairs.len()).map(|k| value(k).abs()).sum::<f64>() / pairs.len() as f64
