@@ -4,38 +4,15 @@ use ihd_gate::{Examination, ExamineOptions, MethodResult, Reconstruct, Verdict, 
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{IdentifyOptions as Methods, Method};
 use ihd_signal::{Capture, Severity};
-use ihd_sim::recording::run::record;
 use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{
-    CaptureSpec, LoadKind, Neighbour, RecordingChange, RecordingEvent,
-};
+use ihd_sim::recording::settings::{CaptureSpec, Neighbour, RecordingChange, RecordingEvent};
 use ihd_survey::Hints;
 use ihd_survey::calibration::blind::BlindOptions;
 use ihd_survey::calibration::{Calibration, Correction};
 
-/// Two half-cycles of the behavioural load at 45 kHz, 12.5 MS/s, 12 bit, 50 dB.
-fn clean() -> CaptureSpec {
-    CaptureSpec {
-        load: LoadKind::Behavioural,
-        sensing: Sensing {
-            rate: Rate::Hz(12.5e6),
-            bits: 12,
-            snr_db: Some(50.0),
-            ..Sensing::default()
-        },
-        ..CaptureSpec::default()
-    }
-}
+mod simulated;
 
-fn capture(settings: &CaptureSpec) -> Capture {
-    let recording = record(settings, |_| ()).expect("settings that can be");
-    // Facts that a user's scope does not know.
-    Capture {
-        mains_hz: None,
-        zero_crossing_s: None,
-        ..recording.capture("a test")
-    }
-}
+use simulated::{capture, clean};
 
 fn examined(capture: &Capture, methods: &[Method]) -> Examination {
     let request = ExamineOptions {

@@ -3,35 +3,15 @@
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::{IdentifyOptions, Method};
 use ihd_signal::{Severity, TimeBase};
-use ihd_sim::recording::run::record;
-use ihd_sim::recording::sensing::{Rate, Sensing};
-use ihd_sim::recording::settings::{CaptureSpec, LoadKind, RecordingChange, RecordingEvent};
+use ihd_sim::recording::settings::{CaptureSpec, RecordingChange, RecordingEvent};
 use ihd_survey::calibration::blind::BlindOptions;
 
+use self::simulated::{capture, clean};
 use super::*;
 use crate::{Examination, ExamineOptions, Reconstruct, examine};
 
-/// Two half-cycles of the behavioural load at 45 kHz, 12.5 MS/s, 12 bit, 50 dB.
-fn settings() -> CaptureSpec {
-    CaptureSpec {
-        load: LoadKind::Behavioural,
-        sensing: Sensing {
-            rate: Rate::Hz(12.5e6),
-            bits: 12,
-            snr_db: Some(50.0),
-            ..Sensing::default()
-        },
-        ..CaptureSpec::default()
-    }
-}
-
-fn capture(settings: &CaptureSpec) -> Capture {
-    Capture {
-        mains_hz: None,
-        zero_crossing_s: None,
-        ..record(settings, |_| ()).unwrap().capture("a test")
-    }
-}
+#[path = "../../tests/simulated/mod.rs"]
+mod simulated;
 
 fn examined(capture: &Capture, hints: Hints, capacitance_f: Option<f64>) -> Examination {
     let request = ExamineOptions {
@@ -77,7 +57,7 @@ fn exchange(capture: &mut Capture) {
 
 #[test]
 fn wrong_wiring_is_corrected_with_a_warning() {
-    let right = capture(&settings());
+    let right = capture(&clean());
     let clean = errors_pct(&examined(&right, Hints::default(), None), &right);
     for (swapped, reversed) in [
         (true, [1.0, 1.0]),
@@ -108,7 +88,7 @@ fn wrong_wiring_is_corrected_with_a_warning() {
 /// The user's word is not turned round: what contradicts it stays an error.
 #[test]
 fn what_contradicts_the_users_wiring_is_refused() {
-    let right = capture(&settings());
+    let right = capture(&clean());
     for swapped in [true, false] {
         // The importer has exchanged or reversed the channels by now.
         let mut wrong = right.clone();
@@ -129,7 +109,7 @@ fn what_contradicts_the_users_wiring_is_refused() {
 
 #[test]
 fn spikes_cost_nothing_and_ringing_is_none() {
-    let mut wrong = capture(&settings());
+    let mut wrong = capture(&clean());
     let n = wrong.len();
     // At the current's crest, each ten periods, so that they add up in the fundamental.
     let crests = (0..n).step_by(2778).map(|k| {
@@ -148,7 +128,7 @@ fn spikes_cost_nothing_and_ringing_is_none() {
     let pct = errors_pct(&found, &wrong);
     assert!(pct[0] < 0.3 && pct[1] < 0.2, "{pct:?}");
 
-    let mut ringing = settings();
+    let mut ringing = clean();
     ringing.sensing.ringing = 0.3;
     let found = examined(&capture(&ringing), Hints::default(), None);
     assert!(!warned(&found).contains(&"spikes"));
@@ -165,7 +145,7 @@ fn last_s(capture: &Capture) -> f64 {
 /// Deleted samples turn both phases by 2π·f·n·dt; a changed L turns the current alone, and a changed frequency bends both.
 #[test]
 fn samples_missing_without_a_mark_are_stamped_and_steps_are_not() {
-    let whole = capture(&settings());
+    let whole = capture(&clean());
     let dt_s = 1.0 / 12.5e6;
     for missing in [40, 100, 230] {
         let mut wrong = whole.clone();
@@ -208,17 +188,14 @@ fn samples_missing_without_a_mark_are_stamped_and_steps_are_not() {
         }),
         event(RecordingChange::Frequency(46e3)),
     ] {
-        let sound = capture(&CaptureSpec {
-            events,
-            ..settings()
-        });
+        let sound = capture(&CaptureSpec { events, ..clean() });
         let found = repair(Cow::Borrowed(&sound), &Hints::default()).unwrap();
         assert_eq!(found.remarks, []);
     }
     // Below resonance the phases bend steeply where the current is small.
     let low = capture(&CaptureSpec {
         f_sw_hz: 20e3,
-        ..settings()
+        ..clean()
     });
     let found = repair(Cow::Borrowed(&low), &Hints::default()).unwrap();
     assert_eq!(found.remarks, []);
@@ -227,7 +204,7 @@ fn samples_missing_without_a_mark_are_stamped_and_steps_are_not() {
 /// Gains that differ by 3 % make R and L 3 % wrong, which nothing shows but a capacitance that is known.
 #[test]
 fn a_known_capacitance_corrects_the_ratio_of_the_gains() {
-    let mut off = settings();
+    let mut off = clean();
     off.sensing.v_gain = 1.03;
     let wrong = capture(&off);
     let found = examined(&wrong, Hints::default(), Some(1080e-9));
@@ -260,7 +237,7 @@ fn clip(x: &mut [f32], share: f32) {
 
 #[test]
 fn a_channel_that_clips_is_restored_with_a_warning() {
-    let right = capture(&settings());
+    let right = capture(&clean());
     for share in [0.75, 0.9] {
         for voltage in [false, true] {
             let mut wrong = right.clone();
@@ -283,7 +260,7 @@ fn a_channel_that_clips_is_restored_with_a_warning() {
 /// Nothing says what is beyond the rails where both channels clip, or no period lies within them.
 #[test]
 fn what_cannot_be_restored_stays_refused() {
-    let right = capture(&settings());
+    let right = capture(&clean());
     let mut both = right.clone();
     clip(&mut both.v_v, 0.8);
     clip(&mut both.i_a, 0.8);
