@@ -36,6 +36,8 @@ pub struct PowerBursts {
     waits: bool,
     on: bool,
     ending: bool,
+    /// The burst ends with the next whole cycle, for a probe; the rest follows.
+    is_cut: bool,
     /// Half-cycles of this burst that were over when the supply was left to the other zone.
     released_at: Option<u16>,
     /// Energy was lost to the limit of saved-up periods, and the balance is still positive.
@@ -54,6 +56,7 @@ impl PowerBursts {
             on: half_cycles.is_some(),
             half_cycles: half_cycles.unwrap_or(0),
             ending: false,
+            is_cut: false,
             released_at: None,
             short: false,
         }
@@ -72,6 +75,11 @@ impl PowerBursts {
     /// Returns `true` if a burst is due, and waits for the supply, or for a probe.
     pub fn is_waiting(&self) -> bool {
         self.waits
+    }
+
+    /// Ends a burst that is under way with its next whole cycle; what it has not given waits.
+    pub fn cut_short(&mut self) {
+        self.is_cut = self.on;
     }
 
     /// Counts the energy of a half-cycle or a pot probe.
@@ -120,7 +128,7 @@ impl PowerBursts {
                 return BurstStep::Keep;
             }
             (self.on, self.waits, self.released_at) = (true, false, None);
-            (self.ending, self.half_cycles) = (false, 0);
+            (self.ending, self.is_cut, self.half_cycles) = (false, false, 0);
             return BurstStep::On;
         }
         if self.ending {
@@ -146,14 +154,15 @@ impl PowerBursts {
                 false
             }
             // Half of the next whole cycle would already be too much.
-            None => self.due_uj - given_uj < given_uj,
+            None => self.is_cut || self.due_uj - given_uj < given_uj,
         };
         // With the half-cycle that runs now the burst has whole cycles.
         if self.half_cycles % 2 == 1 && is_last {
             supply.release();
             self.ending = true;
             // It was ended early.
-            self.waits |= self.due_uj > i64::from(HANDOVER_HALF_CYCLES) * given_uj;
+            let most_uj = if self.is_cut { 2 } else { HANDOVER_HALF_CYCLES };
+            self.waits |= self.due_uj > i64::from(most_uj) * given_uj;
             return BurstStep::OffAtCrossing;
         }
         BurstStep::Keep

@@ -5,6 +5,7 @@ use ihd_shared::wire::messages::{Limit, Pot};
 use crate::control::burst::{BurstStep, PowerBursts};
 use crate::control::parts::ControlParts;
 use crate::control::pot::classify;
+use crate::control::pot_watch::PotWatch;
 use crate::control::status::{Action, SamplingStatus};
 use crate::drive::bridge::Drive;
 use crate::drive::pwm;
@@ -26,7 +27,7 @@ pub enum HeatingStep {
     Act(Action),
     /// The pot is away, or cannot be heated.
     PotLost(Pot),
-    /// The pot was not seen for too long: a probe is due before the next burst.
+    /// The pot was not seen for too long, or may have gone from a sheet: a probe is due.
     Probe,
 }
 
@@ -45,6 +46,8 @@ pub struct Heating {
     bursts: Option<PowerBursts>,
     /// Half-cycles since the bridge last began or stopped to switch; a probe that saw the pot counts as a stop.
     half_cycles: u32,
+    /// R and L since the last probe: a sheet may take the pot's place.
+    watch: PotWatch,
     limit: Limit,
     last: HalfCycle,
 }
@@ -59,6 +62,7 @@ impl Heating {
             bursts_to_w: 0,
             bursts: None,
             half_cycles: 0,
+            watch: PotWatch::new(now_ms),
             limit: Limit::None,
             last: HalfCycle::default(),
         }
@@ -92,6 +96,7 @@ impl Heating {
                     parts.heated_hz = summary.f_sw_hz;
                     self.without_pot = 0;
                     self.unjudged_since_ms = status.now_ms;
+                    self.watch.note(summary, status.now_ms);
                 }
                 // Too little mains to say.
                 Pot::Unknown => return HeatingStep::Act(Action::Keep),
@@ -115,9 +120,10 @@ impl Heating {
         HeatingStep::Act(action)
     }
 
-    /// Takes a probe between two bursts.
-    pub fn on_probe(&mut self, summary: &HalfCycle) {
+    /// Takes a probe between two bursts, or two half-cycles.
+    pub fn on_probe(&mut self, summary: &HalfCycle, now_ms: u32) {
         self.half_cycles = 0;
+        self.watch.probed(now_ms);
         if let Some(bursts) = &mut self.bursts {
             bursts.count(summary);
         }
@@ -142,14 +148,14 @@ impl Heating {
         }
     }
 
-    /// Returns `true` if the pot may be another one by now. While the other zone has the supply it is looked at less often.
+    /// Returns `true` if the pot may be another one by now, or a sheet. While the other zone has the supply it is looked at less often.
     fn is_unseen(&self, is_shared: bool) -> bool {
         let most = if is_shared {
             UNSEEN_WAITING_HALF_CYCLES
         } else {
             UNSEEN_HALF_CYCLES
         };
-        self.unseen() >= most
+        self.watch.is_probe_due() || self.unseen() >= most
     }
 
     fn is_probe_due(&self, status: &SamplingStatus, parts: &mut ControlParts) -> bool {
@@ -157,12 +163,13 @@ impl Heating {
         let is_unseen = is_due && self.is_unseen(parts.supply_share.is_shared());
         (is_unseen || self.unseen() >= UNSEEN_WAITING_HALF_CYCLES)
             && !status.requested.is_switching()
+            && !status.switching
             && parts.restart.permits(status.now_ms)
     }
 
     /// Begins a search for a power that was just requested: the last half-cycle is as good as the next, 10 ms sooner.
     pub fn follow_request(&mut self, parts: &mut ControlParts) {
-        if self.bursts.is_some() || parts.power.is_searching() {
+        if self.bursts.is_some() || parts.power.is_searching() || self.watch.is_probe_due() {
             return;
         }
         if self.last.f_sw_hz > 0 && !self.last.disturbed {
@@ -191,6 +198,10 @@ impl Heating {
         }
         self.bursts = None;
         match (parts.supply_share.claim(), status.requested.is_switching()) {
+            (true, true) if self.watch.is_probe_due() && summary.f_sw_hz > 0 => {
+                parts.power.cancel();
+                return Action::OffAtCrossing;
+            }
             (true, true) => regulate(summary, granted_w, status, parts),
             (true, false) if parts.restart.permits(status.now_ms) && !self.is_unseen(false) => {
                 return Action::Drive(Drive::switching(parts.heated_hz));
@@ -234,6 +245,9 @@ impl Heating {
         let bursts = self
             .bursts
             .get_or_insert_with(|| PowerBursts::new(granted_w, status.now_ms, before));
+        if self.watch.is_probe_due() && !parts.supply_share.is_shared() {
+            bursts.cut_short();
+        }
         let may_start = parts.restart.permits(status.now_ms) && !is_unseen && !is_switching;
         let supply = &mut parts.supply_share;
         let (is_shared, shared_w) = (supply.is_shared(), supply.burst_w());

@@ -36,6 +36,7 @@ pub mod parts;
 pub mod plausibility;
 pub mod pot;
 pub mod pot_heat;
+pub mod pot_watch;
 pub mod power;
 pub mod request;
 pub mod restart;

@@ -76,8 +76,8 @@ impl FirstProbe {
     pub fn doubtful(summary: &HalfCycle, pot: Pot) -> Option<Self> {
         let is_pot = matches!(pot, Pot::Ferromagnetic | Pot::Small);
         let r = summary.crest.r;
-        let (r_percent, _) = of_prior(summary);
-        (is_pot && r_percent < SHEET_R_PERCENT).then_some(Self { pot, r })
+        let (of_r, _) = of_prior(summary);
+        (is_pot && of_r < 100 * SHEET_R_PERCENT).then_some(Self { pot, r })
     }
 
     /// Returns `true` if R at the second probe is that of a sheet.
@@ -86,14 +86,11 @@ impl FirstProbe {
     }
 }
 
-/// R and L in percent of the prior's.
-fn of_prior(summary: &HalfCycle) -> (i64, i64) {
+/// R and L over the prior's, in 1e-4.
+pub fn of_prior(summary: &HalfCycle) -> (i64, i64) {
     let (r, l) = PRIOR.interpolate(summary.f_sw_hz, summary.crest.i_ma);
-    let percent = |is: i32, of: i32| i64::from(is) * 100 / i64::from(of.max(1));
-    (
-        percent(summary.crest.r.0, r.0),
-        percent(summary.crest.l.0, l.0),
-    )
+    let share = |is: i32, of: i32| i64::from(is) * 10_000 / i64::from(of.max(1));
+    (share(summary.crest.r.0, r.0), share(summary.crest.l.0, l.0))
 }
 
 /// Judges the pot by a half-cycle; `before` is the pot that was judged before. [`Pot::Unknown`] if current or mains is too
@@ -103,6 +100,7 @@ pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
         return Pot::Unknown;
     }
     let (r, l) = of_prior(summary);
+    let (r, l) = (r / 100, l / 100);
     let full = if before == Pot::Small {
         FULL_AFTER_SMALL_R_PERCENT
     } else {

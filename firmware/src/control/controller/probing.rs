@@ -63,9 +63,9 @@ impl Control {
     pub(super) fn judge(&mut self, summary: &HalfCycle, status: &SamplingStatus) -> Action {
         let heats = match &mut self.state {
             ControlState::Probing { .. } | ControlState::WaitingForPot(_) => false,
-            // Between two bursts.
+            // Between two bursts, or two half-cycles.
             ControlState::Heating(heating) => {
-                heating.on_probe(summary);
+                heating.on_probe(summary, status.now_ms);
                 true
             }
             ControlState::Idle | ControlState::Pausing | ControlState::LockedOut => {
@@ -79,7 +79,7 @@ impl Control {
             return Action::Fault(Fault::NO_COIL_CURRENT);
         }
         let first = self.doubtful.take();
-        // Between two bursts a sheet may have taken the pot's place.
+        // Meanwhile a sheet may have taken the pot's place.
         let judged_before = if heats { Pot::Unknown } else { self.parts.pot };
         let before = first.as_ref().map_or(judged_before, |first| first.pot);
         let pot = match classify(summary, before) {

@@ -11,6 +11,7 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use std::boxed::Box;
 
 mod burst_moments;
+mod sheet;
 mod soft_limit;
 
 /// R in ohm, L in µH and crest current in ampere at 80 kHz: R carries √(80/45) = 1.33.

@@ -41,7 +41,7 @@ scenarios! {
     link { pots small small_mains trip_at_crest unsuitable }
     mains { low_then_high short_swell }
     noise { snr_20 snr_25 snr_30 tolerances }
-    objects { cutlery refused rings sandwich sheets smallest }
+    objects { below_pot cutlery refused rings sandwich sheets smallest }
     panel { host_silent }
     plausibility { aged_capacitor bare_coil bits dead_comparator gain_drift gains glitch mains_hz no_drift off offsets slow_drift stuck supply }
     pots { places recovered_mains risen_mains }
