@@ -271,7 +271,7 @@ limits! {
     FAN_ON_C: i16 = 50, "°C";
     /// Heat sink temperature below which the fan stops.
     FAN_OFF_C: i16 = 42, "°C";
-    /// Time off that restores a used-up time without a touch of the panel.
+    /// Time off without a break that gives the used time back without a touch of the panel.
     REST_MIN: u16 = 60, "min";
     /// Longest time above the second-highest level; then that level for as long until the next boost.
     BOOST_MIN: u16 = 10, "min";

@@ -52,7 +52,7 @@ impl CookingTimes {
 
     /// Counts time at a requested power, with a pot that is heated or not; returns the reason to switch off, if there is one.
     pub fn count(&mut self, asked_w: u16, heats: bool, elapsed_s: u32) -> OffReason {
-        self.unattended.count(asked_w, elapsed_s);
+        self.unattended.count(asked_w, elapsed_s * 1_000);
         self.boost.count(asked_w, heats, elapsed_s);
         let timer_ends = self.timer.ends(elapsed_s);
         if timer_ends {
