@@ -82,7 +82,7 @@ impl Hob {
         self.heat.take(self.sensors.glass());
         self.steps += 1;
         if self.steps.is_multiple_of(STEPS_PER_S) {
-            self.heat.count(1);
+            self.heat.pass_time(1_000);
         }
     }
 }

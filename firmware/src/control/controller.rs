@@ -236,11 +236,11 @@ impl Control {
         }
         // A bare board has no sensors, and heats nothing; recordings can be replayed on it.
         let condition = self.parts.condition();
-        let elapsed_s = self.parts.times.elapsed_s(status.now_ms);
-        if elapsed_s > 0 {
-            self.parts.pot_heat.count(elapsed_s);
+        let elapsed_ms = self.parts.times.elapsed_ms(status.now_ms);
+        if elapsed_ms > 0 {
+            self.parts.pot_heat.pass_time(elapsed_ms);
             self.parts.restart.pass_time(status.now_ms);
-            let action = self.count_time(elapsed_s);
+            let action = self.count_time(elapsed_ms);
             if action != Action::Keep {
                 return action;
             }

@@ -1,4 +1,7 @@
-//! Times of cooking, counted once a second: without a touch of the panel, of the boost, and of the timer.
+//! Times of cooking: without a touch of the panel, of the boost, and of the timer.
+//!
+//! Each millisecond counts for the request that stands in it. Counted once a second, a host that is off in that moment alone would
+//! use nothing up.
 
 use ihd_shared::wire::messages::OffReason;
 
@@ -6,7 +9,7 @@ use crate::control::unattended::Unattended;
 use crate::limits::{BOOST_MIN, LEVELS};
 
 /// Longest time that is counted at once, which keeps products within 32 bit.
-pub const COUNTED_AT_ONCE_S: u32 = 3_600;
+pub const COUNTED_AT_ONCE_MS: u32 = 3_600_000;
 
 /// Power of the level below the highest, in watt: what is left of a boost that is over.
 pub const BELOW_BOOST_W: u16 = LEVELS[LEVELS.len() - 2].power_w;
@@ -39,22 +42,18 @@ impl CookingTimes {
         }
     }
 
-    /// Takes the clock after each block; returns the time to be counted, in seconds, mostly 0.
-    pub fn elapsed_s(&mut self, now_ms: u32) -> u32 {
+    /// Takes the clock after each block; returns the time to be counted, in milliseconds, mostly 0.
+    pub fn elapsed_ms(&mut self, now_ms: u32) -> u32 {
         let elapsed_ms = now_ms.wrapping_sub(self.counted_ms);
-        if elapsed_ms < 1_000 {
-            return 0;
-        }
-        let elapsed_s = elapsed_ms / 1_000;
-        self.counted_ms = self.counted_ms.wrapping_add(elapsed_s * 1_000);
-        elapsed_s.min(COUNTED_AT_ONCE_S)
+        self.counted_ms = now_ms;
+        elapsed_ms.min(COUNTED_AT_ONCE_MS)
     }
 
     /// Counts time at a requested power, with a pot that is heated or not; returns the reason to switch off, if there is one.
-    pub fn count(&mut self, asked_w: u16, heats: bool, elapsed_s: u32) -> OffReason {
-        self.unattended.count(asked_w, elapsed_s * 1_000);
-        self.boost.count(asked_w, heats, elapsed_s);
-        let timer_ends = self.timer.ends(elapsed_s);
+    pub fn count(&mut self, asked_w: u16, heats: bool, elapsed_ms: u32) -> OffReason {
+        self.unattended.count(asked_w, elapsed_ms);
+        self.boost.count(asked_w, heats, elapsed_ms);
+        let timer_ends = self.timer.ends(elapsed_ms);
         if timer_ends {
             OffReason::Timer
         } else if asked_w > 0 && self.unattended.is_used_up() {
@@ -68,28 +67,27 @@ impl CookingTimes {
 /// Time above the second-highest level: [`BOOST_MIN`] at most, and as long below it until the next whole one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Boost {
-    used_s: u16,
+    used_ms: u32,
     over: bool,
 }
 
 impl Boost {
-    const WHOLE_S: u16 = BOOST_MIN * 60;
+    const WHOLE_MS: u32 = BOOST_MIN as u32 * 60_000;
 
     const USED_UP: Self = Self {
-        used_s: Self::WHOLE_S,
+        used_ms: Self::WHOLE_MS,
         over: true,
     };
 
-    fn count(&mut self, asked_w: u16, heats: bool, elapsed_s: u32) {
-        let elapsed_s = elapsed_s.min(COUNTED_AT_ONCE_S) as u16;
+    fn count(&mut self, asked_w: u16, heats: bool, elapsed_ms: u32) {
         let asks = asked_w > BELOW_BOOST_W;
         if asks && heats && !self.over {
-            self.used_s = (self.used_s + elapsed_s).min(Self::WHOLE_S);
-            self.over = self.used_s == Self::WHOLE_S;
+            self.used_ms = (self.used_ms + elapsed_ms).min(Self::WHOLE_MS);
+            self.over = self.used_ms == Self::WHOLE_MS;
         } else {
-            self.used_s = self.used_s.saturating_sub(elapsed_s);
+            self.used_ms = self.used_ms.saturating_sub(elapsed_ms);
             // A request that stands is not boosted anew.
-            self.over &= asks || self.used_s > 0;
+            self.over &= asks || self.used_ms > 0;
         }
     }
 
@@ -102,27 +100,26 @@ impl Boost {
 /// Timer that switches off.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timer {
-    /// Time left, in seconds; 0 without a timer.
-    left_s: u16,
+    /// Time left, in milliseconds; 0 without a timer.
+    left_ms: u32,
 }
 
 impl Timer {
     /// Sets it; 0 for none.
     pub fn set(&mut self, minutes: u8) {
-        self.left_s = u16::from(minutes) * 60;
+        self.left_ms = u32::from(minutes) * 60_000;
     }
 
     /// Time left in minutes, rounded up; 0 without a timer.
     pub fn left_min(&self) -> u8 {
-        self.left_s.div_ceil(60) as u8
+        self.left_ms.div_ceil(60_000) as u8
     }
 
     /// Counts, with or without power, as a host may be off for a second; returns `true` if it ends.
-    fn ends(&mut self, elapsed_s: u32) -> bool {
-        let ran = self.left_s > 0;
-        let elapsed_s = elapsed_s.min(COUNTED_AT_ONCE_S) as u16;
-        self.left_s = self.left_s.saturating_sub(elapsed_s);
-        ran && self.left_s == 0
+    fn ends(&mut self, elapsed_ms: u32) -> bool {
+        let ran = self.left_ms > 0;
+        self.left_ms = self.left_ms.saturating_sub(elapsed_ms);
+        ran && self.left_ms == 0
     }
 }
 
@@ -131,13 +128,13 @@ mod tests {
     use super::*;
     use ihd_shared::hob::RATED_POWER_W;
 
-    const WHOLE_S: u32 = Boost::WHOLE_S as u32;
+    const WHOLE_S: u32 = Boost::WHOLE_MS / 1_000;
 
     /// Seconds of so many that were boosted.
     fn boosted_s(boost: &mut Boost, asked_w: u16, seconds: u32) -> u32 {
         let mut boosted = 0;
         for _ in 0..seconds {
-            boost.count(asked_w, true, 1);
+            boost.count(asked_w, true, 1_000);
             boosted += u32::from(!boost.is_over());
         }
         boosted
@@ -173,7 +170,7 @@ mod tests {
         let mut times = CookingTimes::default();
         for seconds in 0..WHOLE_S {
             assert!(!times.boost.is_over(), "{seconds} s");
-            times.count(RATED_POWER_W, true, 1);
+            times.count(RATED_POWER_W, true, 1_000);
             let after = CookingTimes::restored(times.unattended.used_share(), 0);
             assert!(after.boost.is_over(), "{seconds} s");
         }
@@ -183,34 +180,34 @@ mod tests {
     #[test]
     fn waiting_for_a_pot_is_no_boost() {
         let mut boost = Boost::default();
-        boost.count(RATED_POWER_W, false, 2 * WHOLE_S);
+        boost.count(RATED_POWER_W, false, 2 * WHOLE_S * 1_000);
         assert!(!boost.is_over());
     }
 
     #[test]
     fn the_timer_ends_once_with_or_without_power() {
         let mut timer = Timer::default();
-        assert!(!timer.ends(1));
+        assert!(!timer.ends(1_000));
         timer.set(2);
-        assert!(!timer.ends(119));
+        assert!(!timer.ends(119_000));
         assert_eq!(timer.left_min(), 1);
-        assert!(timer.ends(5));
-        assert!(!timer.ends(5));
+        assert!(timer.ends(5_000));
+        assert!(!timer.ends(5_000));
         timer.set(u8::MAX);
         assert_eq!(timer.left_min(), u8::MAX);
-        assert!(!timer.ends(3_600));
+        assert!(!timer.ends(3_600_000));
         assert_eq!(timer.left_min(), 195);
     }
 
     /// The clock wraps after 49 days.
     #[test]
-    fn seconds_are_counted_once() {
+    fn each_millisecond_is_counted_once() {
         let mut times = CookingTimes::restored(0, u32::MAX - 1_500);
         let mut counted = 0;
-        for ms in 0..10_000_u32 {
-            counted += times.elapsed_s((u32::MAX - 1_500).wrapping_add(ms));
+        for ms in (0..10_000_u32).step_by(7).flat_map(|ms| [ms, ms]) {
+            counted += times.elapsed_ms((u32::MAX - 1_500).wrapping_add(ms));
         }
-        assert_eq!(counted, 9);
-        assert_eq!(times.elapsed_s(u32::MAX / 2), COUNTED_AT_ONCE_S);
+        assert_eq!(counted, 9_996);
+        assert_eq!(times.elapsed_ms(u32::MAX / 2), COUNTED_AT_ONCE_MS);
     }
 }

@@ -36,6 +36,8 @@ const READINGS_MAX: i32 = 4_096;
 /// Highest temperature of a base by its glass, and what it takes from the power.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PotHeat {
+    /// Milliseconds of this second.
+    second_ms: u32,
     /// Sum of the readings of this second in 1/16 °C, and their number.
     readings: (i32, i32),
     /// Mean of the sensor over [`MEAN_S`]; `None` before its first reading.
@@ -57,8 +59,17 @@ impl PotHeat {
         }
     }
 
-    /// Counts time, once a second; power comes back by 1 % of the rating a second.
-    pub fn count(&mut self, elapsed_s: u32) {
+    /// Passes time, in milliseconds, and counts each second that is over.
+    pub fn pass_time(&mut self, elapsed_ms: u32) {
+        self.second_ms = self.second_ms.saturating_add(elapsed_ms);
+        if self.second_ms >= 1_000 {
+            self.count(self.second_ms / 1_000);
+            self.second_ms %= 1_000;
+        }
+    }
+
+    /// Counts seconds; power comes back by 1 % of the rating in each.
+    fn count(&mut self, elapsed_s: u32) {
         let elapsed_s = elapsed_s.min(100) as i32;
         let (sum, readings) = core::mem::take(&mut self.readings);
         let wanted = if readings > 0 {

@@ -51,7 +51,7 @@ impl RestartPolicy {
         restored
     }
 
-    /// Ends a pause that is over; to be called once a second, as the clock's wrap would begin it again.
+    /// Ends a pause that is over; to be called once a second or more often, as the clock's wrap would begin it again.
     pub fn pass_time(&mut self, now_ms: u32) {
         if self.not_before_ms.is_some_and(|at| is_reached(now_ms, at)) {
             self.not_before_ms = None;

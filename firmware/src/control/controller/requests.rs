@@ -91,7 +91,7 @@ impl Control {
     /// Lets minutes pass at once for the times of cooking, on a simulated hob.
     pub fn pass_minutes(&mut self, minutes: u16) -> Action {
         for _ in 0..minutes {
-            match self.count_time(60) {
+            match self.count_time(60_000) {
                 Action::Keep => {}
                 action => return action,
             }
@@ -101,10 +101,10 @@ impl Control {
 
     /// Counts the times of cooking, and switches off at the end of one.
     #[inline(never)]
-    pub(super) fn count_time(&mut self, elapsed_s: u32) -> Action {
+    pub(super) fn count_time(&mut self, elapsed_ms: u32) -> Action {
         let asked_w = self.parts.request.power_w();
         let heats = matches!(self.state, ControlState::Heating(_));
-        match self.parts.times.count(asked_w, heats, elapsed_s) {
+        match self.parts.times.count(asked_w, heats, elapsed_ms) {
             OffReason::None => {
                 if self.parts.times.boost.is_over() {
                     self.parts.request.end_boost();

@@ -11,6 +11,7 @@ use ihd_shared::units::{MicroOhm, PicoHenry};
 use std::boxed::Box;
 
 mod burst_moments;
+mod pulses;
 mod sheet;
 mod soft_limit;
 
