@@ -43,7 +43,7 @@ pub struct Housekeeping {
     settings: Configure,
     /// The fault that the host was told of last.
     reported_fault: Fault,
-    /// Time of the last frame from the host, but for those that come by themselves, in milliseconds.
+    /// Time of the host's last request or hello, in milliseconds.
     heard_ms: u32,
     /// The last half-cycle.
     last: HalfCycle,

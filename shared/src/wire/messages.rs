@@ -46,7 +46,7 @@ message_table! { 'a;
         /// Board or host name.
         board: String<32>,
     }
-    /// Requests power; 0 switches off. More than the rating is taken as the rating, up to 10 000 W. A device that receives no frame but `ResendWindow` for 10 s switches off by itself.
+    /// Requests power; 0 switches off. More than the rating is taken as the rating, up to 10 000 W. A device that receives no request for 10 s switches off by itself.
     0x02 Request SetPower -> Reply {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,
@@ -488,6 +488,11 @@ pub const fn is_numbered(id: u8) -> bool {
         Some(part) => part.is_numbered(),
         None => true,
     }
+}
+
+/// Returns `true` if a frame of this id comes from a host and asks for an answer: one that is not known does, as it may be a newer request.
+pub const fn is_request(id: u8) -> bool {
+    matches!(part_of(id), Some(Part::Request) | None)
 }
 
 impl WindowStart {

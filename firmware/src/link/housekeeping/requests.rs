@@ -4,12 +4,12 @@ use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::window::CHUNK_BYTES;
-use ihd_shared::wire::hello::{CAP_REPLAYING, check};
+use ihd_shared::wire::hello::{CAP_REPLAYING, ROLE_HOST, check};
 use ihd_shared::wire::messages::{
     AnyMessage, ClearFault, Configure, DecodeError, GetBoard, GetFrontEnd, GetStatus,
     GetUtilisation, Hello, Message, Outcome, Program, ReadLookup, ReplayEnd, ReplayMode,
-    ReplayStart, ResendWindow, ResetLookup, State, Status, Stream, TestChannels, TestClocks,
-    TestComparators, TestLink, is_numbered,
+    ReplayStart, ResetLookup, State, Status, Stream, TestChannels, TestClocks, TestComparators,
+    TestLink, is_numbered, is_request,
 };
 use ihd_shared::wire::number::Number;
 
@@ -31,16 +31,18 @@ impl Housekeeping {
                 continue;
             };
             let id = frame.id;
-            // A host sends it by itself for as long as windows come: it keeps no power up.
-            if id != ResendWindow::ID {
-                self.heard_ms = lock.with(|path| path.now_ms());
-            }
             let (number, bytes) = frame.split();
-            if self.paired
-                && is_numbered(id)
-                && !is_new_request(&mut self.conversation, &mut self.queue, number)
-            {
-                continue;
+            if self.paired && is_numbered(id) {
+                let order = self.conversation.turn(number);
+                // Nothing else keeps power up: not what a host sends by itself for as long as windows come, and no echo of
+                // the device's own frames, which have the request's number.
+                let is_of_host = matches!(order, RequestOrder::New | RequestOrder::Again);
+                if is_of_host && is_request(id) {
+                    self.heard_ms = lock.with(|path| path.now_ms());
+                }
+                if !is_new_request(order, &self.conversation, &mut self.queue, number) {
+                    continue;
+                }
             }
             let response = match AnyMessage::decode(id, bytes) {
                 // These three borrow from the deframer; the rest may borrow all of self.
@@ -112,6 +114,9 @@ impl Housekeeping {
 
     /// Pairs with a host that sends its hello: it starts from a silent device that heats for no host.
     fn pair(&mut self, lock: &mut impl SamplingLock, theirs: &Hello) {
+        if theirs.role == ROLE_HOST {
+            self.heard_ms = lock.with(|path| path.now_ms());
+        }
         self.end_host_power(lock);
         let fits = check(self.queue.hello(), theirs).is_ok();
         self.paired = fits && !self.service.is_leaving();
@@ -276,11 +281,12 @@ fn outcome_of(why: &DecodeError) -> Outcome {
 
 /// Returns `true` if a request of this number is to be carried out. One that comes again gets its response again.
 fn is_new_request(
-    conversation: &mut Conversation,
+    order: RequestOrder,
+    conversation: &Conversation,
     queue: &mut TransmitQueue,
     number: Number,
 ) -> bool {
-    match conversation.turn(number) {
+    match order {
         RequestOrder::New => return true,
         RequestOrder::Again => {
             if let Some(response) = conversation.response() {
