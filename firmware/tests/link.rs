@@ -12,7 +12,8 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    GetStatus, Message, Piece, Request, ResendWindow, SetPower, State, Stream,
+    AnyMessage, GetStatus, Message, Outcome, Piece, ReplayStart, Request, ResendWindow, SetPower,
+    State, Stream,
 };
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::HOST_UNHEARD_MS;
@@ -114,6 +115,12 @@ impl Desk {
         }
     }
 
+    fn run_to_crest(&mut self) {
+        while self.since_crossing_ns < HALF_CYCLE_NS / 2 {
+            self.step();
+        }
+    }
+
     /// The next frame of the device; empty without one.
     fn transmit(&mut self) -> Vec<u8> {
         let mut out = [0; MAX_ENCODED];
@@ -151,6 +158,17 @@ impl Desk {
                     answer = Some((frame.id, frame.split().1.to_vec()));
                 }
             }
+        }
+    }
+
+    /// Asks for a replay at a frequency; returns the outcome, `Ok` where it begins.
+    fn start_replay(&mut self, f_sw_hz: u32) -> Outcome {
+        let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+        let (id, bytes) = self.request(&ReplayStart { f_sw_hz, r, l });
+        match AnyMessage::decode(id, &bytes) {
+            Ok(AnyMessage::Reply(reply)) => reply.outcome,
+            Ok(AnyMessage::ReplayMode(mode)) if mode.active => Outcome::Ok,
+            other => panic!("{other:?}"),
         }
     }
 
@@ -218,4 +236,45 @@ fn requests_keep_power_up_and_notices_do_not() {
         desk.notice(&piece);
     }
     assert_eq!(desk.asked_w(), 0);
+}
+
+/// Opened at the crest, the line's current would charge the DC link: a replay begins with the bridge open, or changes nothing.
+#[test]
+fn a_replay_that_is_refused_changes_nothing() {
+    let mut desk = Desk::new();
+    desk.heat();
+    desk.run_to_crest();
+    for (f_sw_hz, outcome) in [(1, Outcome::Malformed), (45_000, Outcome::NotIdle)] {
+        assert_eq!(desk.start_replay(f_sw_hz), outcome);
+        assert_eq!(desk.asked_w(), 1_000);
+        let block = desk.block;
+        while desk.block < block + 100 {
+            desk.step();
+            assert!(desk.path.drive().is_switching());
+        }
+        desk.run_to_crest();
+    }
+    // Off opens the bridge at the zero crossing, and no sooner for a replay's sake.
+    desk.request(&SetPower { power_w: 0 });
+    assert_eq!(desk.start_replay(45_000), Outcome::NotIdle);
+    desk.step();
+    assert!(desk.path.drive().is_switching());
+    desk.run_ms(12);
+    for _ in 0..2 {
+        assert_eq!(desk.start_replay(45_000), Outcome::Ok);
+        assert!(!desk.path.drive().is_switching());
+    }
+}
+
+/// The bridge may be on at any moment, though it waits for the mains.
+#[test]
+fn power_that_is_requested_and_not_yet_given_refuses_a_replay() {
+    let mut desk = Desk::new();
+    desk.mains = false;
+    desk.run_ms(20);
+    desk.request(&SetPower { power_w: 1_000 });
+    desk.run_ms(5);
+    assert!(!desk.path.drive().is_switching());
+    assert_eq!(desk.start_replay(45_000), Outcome::NotIdle);
+    assert_eq!(desk.asked_w(), 1_000);
 }

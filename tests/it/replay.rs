@@ -351,13 +351,14 @@ fn replay_mode_locks_the_power_outputs_and_says_so() {
     desk.hob().run(60);
     assert_eq!(first.status().unwrap().state, State::Heating);
     let (r, l) = (MicroOhm(4_000_000), PicoHenry(25_000_000));
+    let refused = first.start_replay(45_000, r, l).err().expect("it heats");
+    assert!(refused.to_string().contains("switch it off"), "{refused}");
+    assert_eq!(first.status().unwrap().state, State::Heating);
+    // The bridge opens at the next zero crossing, for which the host waits.
+    first.set_power(0).unwrap();
     let mut replay = first.start_replay(45_000, r, l).unwrap();
     let status = replay.client().status().unwrap();
-    assert_eq!(
-        (status.state, status.f_sw_hz),
-        (State::Idle, 0),
-        "it was heating"
-    );
+    assert_eq!((status.state, status.f_sw_hz), (State::Idle, 0));
     let refused = replay.client().set_power(1_000).unwrap_err();
     assert!(
         matches!(

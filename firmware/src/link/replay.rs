@@ -55,27 +55,32 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// Enters replay mode.
+    /// Enters replay mode, or begins another replay within it. The bridge must be open already: opened at the mains' crest, the
+    /// line's current would charge the DC link.
     ///
     /// # Errors
-    /// Outcome and detail: a fault is active, or the frequency is outside the ratings.
+    /// Outcome and detail, and nothing has changed: the frequency is outside the ratings, a fault is active, or the bridge is on or about
+    /// to be.
     pub fn start(
         &mut self,
         lock: &mut impl SamplingLock,
         m: &ReplayStart,
+        power_is_requested: bool,
     ) -> Result<ReplayMode, (Outcome, u32)> {
         if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&m.f_sw_hz) {
             return Err((Outcome::Malformed, 0));
         }
-        let fault = lock.with(|path| {
-            if path.fault() == Fault::NONE {
-                path.set_replay(true, m.f_sw_hz, m.r, m.l);
+        lock.with(|path| {
+            let fault = path.fault();
+            if fault != Fault::NONE {
+                return Err((Outcome::FaultActive, u32::from(fault.number())));
             }
-            path.fault()
-        });
-        if fault != Fault::NONE {
-            return Err((Outcome::FaultActive, u32::from(fault.number())));
-        }
+            if power_is_requested || !(path.is_replaying() || path.is_bridge_open()) {
+                return Err((Outcome::NotIdle, 0));
+            }
+            path.set_replay(true, m.f_sw_hz, m.r, m.l);
+            Ok(())
+        })?;
         *self = Self::default();
         Ok(ReplayMode {
             active: true,

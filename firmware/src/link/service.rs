@@ -11,7 +11,6 @@ use ihd_shared::wire::messages::{Clocks, Comparators, LinkData, LinkTested, Outc
 use ihd_shared::wire::number::Number;
 use ihd_shared::wire::timing::RESTART_AFTER_MS;
 
-use crate::drive::bridge::Bridge;
 use crate::limits::BUS_MIN_DV;
 use crate::link::channel_test::{ChannelTest, SlowCodes};
 use crate::link::response::Response;
@@ -229,8 +228,5 @@ impl ServiceJob {
 
 /// Returns `true` if both switches are open, nothing requests anything else, and the samples are the ADC's.
 fn is_bridge_open(lock: &mut impl SamplingLock) -> bool {
-    lock.with(|path| {
-        let bridges = [path.drive().bridge, path.requested_drive().bridge];
-        bridges == [Bridge::Open; 2] && !path.is_replaying()
-    })
+    lock.with(|path| path.is_bridge_open() && !path.is_replaying())
 }

@@ -3,6 +3,8 @@
 //! Every block is replayed exactly once and every estimate comes back, whatever the link loses, repeats or cuts; otherwise an error
 //! reports it. One message is under way at a time. After a silence the host requests the number of the device's last message.
 
+use std::time::Duration;
+
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE, NO_CROSSING};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::units::{MicroOhm, PicoHenry};
@@ -16,6 +18,9 @@ pub const PAIRS_PER_MESSAGE: usize = BLOCKS_PER_MESSAGE * ADC_LOCK_P;
 
 /// Attempts to send a message, or to read the last answer, before the link is given up.
 const MAX_ATTEMPTS: u32 = 8;
+
+/// Longest wait for a bridge that was switched off and opens at the end of the half-cycle.
+const OPENS_WITHIN: Duration = Duration::from_secs(1);
 
 /// Request for the last estimates again.
 const LAST: ReplayBlocks<'static> = ReplayBlocks {
@@ -47,10 +52,10 @@ enum Last {
 
 impl Client {
     /// Puts the device into replay mode at a switching frequency in hertz; its estimator starts
-    /// from the given load.
+    /// from the given load. A bridge that was just switched off, by the hello of this client or by 0 W, is waited for.
     ///
     /// # Errors
-    /// [`LinkError::Refused`] while a fault is active or for a frequency outside the ratings, else
+    /// [`LinkError::Refused`] while a fault is active, power is requested, or for a frequency outside the ratings, else
     /// any error of [`Client::request`].
     pub fn start_replay(
         &mut self,
@@ -59,8 +64,25 @@ impl Client {
         l: PicoHenry,
     ) -> Result<ReplayMode<'_>, LinkError> {
         let start = ReplayStart { f_sw_hz, r, l };
-        retry_unanswered(|| self.request(&start))?;
-        Ok(self.continue_replay(0))
+        let until = self.clock() + OPENS_WITHIN;
+        loop {
+            match retry_unanswered(|| self.request(&start)) {
+                Ok(_) => return Ok(self.continue_replay(0)),
+                Err(
+                    why @ LinkError::Refused {
+                        outcome: Outcome::NotIdle,
+                        ..
+                    },
+                ) => {
+                    let is_opening = retry_unanswered(|| self.status())?.asked_w == 0;
+                    if !is_opening || self.clock() >= until {
+                        return Err(why);
+                    }
+                    self.receive(OPENS_WITHIN / 100)?;
+                }
+                Err(why) => return Err(why),
+            }
+        }
     }
 
     /// Continues a replay of which `taken` blocks were sent and have come back.

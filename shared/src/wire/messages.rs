@@ -72,7 +72,8 @@ message_table! { 'a;
     /// Leaves the safe state after a fault; power must be requested again.
     0x07 Request ClearFault -> Reply {}
     /// Enters replay mode: samples come from `ReplayBlocks`, those of the ADC are ignored, and the
-    /// power outputs are locked off. The estimator begins anew.
+    /// power outputs are locked off. The estimator begins anew. Only with the inverter off and no power requested, else
+    /// `NotIdle`.
     0x08 Request ReplayStart -> ReplayMode {
         /// Switching frequency of the recording, in hertz, 34 000 to 80 000.
         f_sw_hz: u32,

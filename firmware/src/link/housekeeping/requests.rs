@@ -206,9 +206,8 @@ impl Housekeeping {
     }
 
     fn start_replay(&mut self, lock: &mut impl SamplingLock, m: &ReplayStart) -> Response {
-        let off = self.control.switch_off();
-        self.act(lock, off);
-        match self.replay.start(lock, m) {
+        let power_is_requested = self.control.asked_w() > 0;
+        match self.replay.start(lock, m, power_is_requested) {
             Ok(mode) => self.replay_mode(mode),
             Err((outcome, detail)) => Response::reply(outcome, detail),
         }

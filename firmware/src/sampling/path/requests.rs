@@ -3,7 +3,7 @@
 use ihd_shared::fault::Fault;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
-use crate::drive::bridge::Drive;
+use crate::drive::bridge::{Bridge, Drive};
 use crate::drive::sequencer::PotProbe;
 use crate::estimate::ekf::{Ekf, Noise};
 use crate::sampling::half_cycle_sums::HalfCycleSums;
@@ -50,6 +50,11 @@ impl<M: PairArithmetic> SamplingPath<M> {
         } else {
             self.sequencer.drive()
         }
+    }
+
+    /// Returns `true` if both switches are open, and nothing requests anything else.
+    pub fn is_bridge_open(&self) -> bool {
+        [self.drive().bridge, self.requested_drive().bridge] == [Bridge::Open; 2]
     }
 
     /// Enters or leaves replay mode. Either way the bridge is off and the estimator begins anew
