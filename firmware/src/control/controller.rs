@@ -73,6 +73,16 @@ impl Control {
         self.state.wire()
     }
 
+    /// Returns `true` while nothing heats, searches or is recorded: another lookup need not wait for a half-cycle, which without mains
+    /// never ends.
+    pub fn needs_no_lookup(&self, status: &SamplingStatus) -> bool {
+        let heats = matches!(
+            self.state,
+            ControlState::Probing { .. } | ControlState::Heating(_)
+        );
+        !heats && !status.switching && !status.requested.is_switching() && !status.replaying
+    }
+
     /// The pot that was judged last.
     pub fn pot(&self) -> Pot {
         self.parts.pot

@@ -71,8 +71,8 @@ impl ActiveLookup {
         }
     }
 
-    /// Replaces the active lookup at the half-cycle boundary, so that one half-cycle sees one lookup. Returns outcome and
-    /// detail.
+    /// Replaces the active lookup at the half-cycle boundary, so that one half-cycle sees one lookup, or while nothing uses it. Returns
+    /// outcome and detail.
     pub fn replace(&mut self, lookup: RlLookup) -> (Outcome, u32) {
         if self.pending.is_some() {
             return (Outcome::Busy, 0);
@@ -81,8 +81,13 @@ impl ActiveLookup {
         (Outcome::Ok, 0)
     }
 
-    /// Activates a successor at a half-cycle boundary; returns its version, `None` if there is none.
-    pub fn on_half_cycle(&mut self) -> Option<u32> {
+    /// Returns `true` if a successor waits.
+    pub fn has_successor(&self) -> bool {
+        self.pending.is_some()
+    }
+
+    /// Activates a successor at a half-cycle boundary, or while nothing uses a lookup; returns its version, `None` if there is none.
+    pub fn activate(&mut self) -> Option<u32> {
         let lookup = self.pending.take()?;
         let version = lookup.version;
         self.active = GuardedLookup::new(lookup);
@@ -113,9 +118,9 @@ mod tests {
         assert_eq!(active.accept(version(5)), (Outcome::Ok, 0));
         assert_eq!(active.version, 0);
         assert_eq!(active.accept(version(6)), (Outcome::Busy, 0));
-        assert_eq!(active.on_half_cycle(), Some(5));
+        assert_eq!(active.activate(), Some(5));
         assert_eq!((active.version, active.changes()), (5, 1));
-        assert_eq!(active.on_half_cycle(), None);
+        assert_eq!(active.activate(), None);
         assert_eq!(active.accept(version(5)), (Outcome::LookupStale, 5));
         let highest = 5 + LOOKUP_VERSION_STEP;
         let beyond = active.accept(version(highest + 1));

@@ -192,7 +192,12 @@ impl Housekeeping {
         let action = match sums.map(|sums| sums.evaluate()) {
             Some(probe) if probe.is_pot_probe => self.control.on_half_cycle(&probe, &status),
             Some(summary) => self.on_half_cycle(lock, &summary, &status),
-            None => self.control.advance(&self.lookup, &status),
+            None => {
+                if self.lookup.has_successor() && self.control.needs_no_lookup(&status) {
+                    self.activate_lookup(lock);
+                }
+                self.control.advance(&self.lookup, &status)
+            }
         };
         self.act(lock, action);
         // The request that was just made counts.
@@ -215,14 +220,19 @@ impl Housekeeping {
         summary: &HalfCycle,
         status: &SamplingStatus,
     ) -> Action {
-        if let Some(version) = self.lookup.on_half_cycle() {
-            lock.with(|path| path.recorder().set_lookup_version(version));
-        }
+        self.activate_lookup(lock);
         self.queue.on_half_cycle(lock);
         self.last = *summary;
         let action = self.control.on_half_cycle(summary, status);
         self.send_telemetry(lock, summary);
         action
+    }
+
+    /// Activates a lookup that waits for its turn.
+    fn activate_lookup(&mut self, lock: &mut impl SamplingLock) {
+        if let Some(version) = self.lookup.activate() {
+            lock.with(|path| path.recorder().set_lookup_version(version));
+        }
     }
 
     /// Ends power and replay that were requested over the link with the link, with or without mains.

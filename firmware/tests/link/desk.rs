@@ -1,4 +1,4 @@
-//! Frames of a host, and what else may come over its line, on the whole controller with a pot that heats.
+//! Board with a pot that heats, and its line to a host.
 
 use std::f64::consts::{FRAC_2_PI, TAU};
 
@@ -6,41 +6,41 @@ use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::bus::BusReading;
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode, encode_numbered};
 use ihd_shared::wire::hello::{ROLE_DEVICE, ROLE_HOST, ours};
 use ihd_shared::wire::messages::{
-    AnyMessage, GetStatus, Message, Outcome, Piece, ReplayStart, Request, ResendWindow, SetPower,
-    State, Stream,
+    AnyMessage, Message, Outcome, PushLookup, Raw, ReplayStart, Request, SetPower, State,
 };
 use ihd_shared::wire::number::Number;
-use ihd_shared::wire::timing::HOST_UNHEARD_MS;
 
 /// Half-cycle of 50 Hz, in nanoseconds.
-const HALF_CYCLE_NS: u32 = 10_000_000;
+pub const HALF_CYCLE_NS: u32 = 10_000_000;
 
 /// R and X in ohm and crest current in ampere of the pot's samples, whatever the frequency.
 const POT: (f64, f64, f64) = (4.2, 8.6, 26.0);
 
 /// Board with a pot, and a line to its host.
-struct Desk {
-    path: Box<SamplingPath>,
-    housekeeping: Box<Housekeeping>,
+pub struct Desk {
+    pub path: Box<SamplingPath>,
+    pub housekeeping: Box<Housekeeping>,
     /// Blocks so far, and the time since the mains crossed zero, in nanoseconds.
-    block: u64,
-    since_crossing_ns: u32,
-    mains: bool,
+    pub block: u64,
+    pub since_crossing_ns: u32,
+    pub mains: bool,
     /// Line that gives the device what it sends.
-    echoes: bool,
-    number: Number,
-    sent: u16,
+    pub echoes: bool,
+    pub number: Number,
+    pub sent: u16,
 }
 
 impl Desk {
     /// A board that has mains and was greeted by a host.
-    fn new() -> Self {
+    pub fn new() -> Self {
         let hello = ours(ROLE_DEVICE, 0, 1, "desk", "desk");
         let mut desk = Self {
             path: Box::new(SamplingPath::new(
@@ -80,7 +80,7 @@ impl Desk {
         pairs
     }
 
-    fn step(&mut self) {
+    pub fn step(&mut self) {
         let crosses = self.since_crossing_ns >= HALF_CYCLE_NS;
         if crosses {
             self.since_crossing_ns -= HALF_CYCLE_NS;
@@ -108,27 +108,27 @@ impl Desk {
         }
     }
 
-    fn run_ms(&mut self, ms: u32) {
+    pub fn run_ms(&mut self, ms: u32) {
         let until = self.path.now_ms() + ms;
         while self.path.now_ms() < until {
             self.step();
         }
     }
 
-    fn run_to_crest(&mut self) {
+    pub fn run_to_crest(&mut self) {
         while self.since_crossing_ns < HALF_CYCLE_NS / 2 {
             self.step();
         }
     }
 
     /// The next frame of the device; empty without one.
-    fn transmit(&mut self) -> Vec<u8> {
+    pub fn transmit(&mut self) -> Vec<u8> {
         let mut out = [0; MAX_ENCODED];
         let length = self.housekeeping.transmit(&mut *self.path, &mut out);
         out[..length].to_vec()
     }
 
-    fn notice(&mut self, message: &impl Message) {
+    pub fn notice(&mut self, message: &impl Message) {
         let mut frame = [0; MAX_ENCODED];
         let length = encode(message, self.sent, &mut frame).expect("it fits");
         self.sent += 1;
@@ -137,7 +137,7 @@ impl Desk {
     }
 
     /// Sends a request; returns id and payload of its answer, without the number.
-    fn request(&mut self, request: &impl Request) -> (u8, Vec<u8>) {
+    pub fn request(&mut self, request: &impl Request) -> (u8, Vec<u8>) {
         let mut frame = [0; MAX_ENCODED];
         self.number = self.number.next();
         let length = encode_numbered(request, self.number, self.sent, &mut frame);
@@ -162,7 +162,7 @@ impl Desk {
     }
 
     /// Asks for a replay at a frequency; returns the outcome, `Ok` where it begins.
-    fn start_replay(&mut self, f_sw_hz: u32) -> Outcome {
+    pub fn start_replay(&mut self, f_sw_hz: u32) -> Outcome {
         let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
         let (id, bytes) = self.request(&ReplayStart { f_sw_hz, r, l });
         match AnyMessage::decode(id, &bytes) {
@@ -172,109 +172,31 @@ impl Desk {
         }
     }
 
+    /// Sends a request that a `Reply` answers; returns the outcome.
+    pub fn outcome(&mut self, request: &impl Request) -> Outcome {
+        let (id, bytes) = self.request(request);
+        match AnyMessage::decode(id, &bytes) {
+            Ok(AnyMessage::Reply(reply)) => reply.outcome,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub fn push(&mut self, version: u32) -> Outcome {
+        let lookup = RlLookup { version, ..prior() };
+        self.outcome(&PushLookup {
+            blob: Raw(&lookup.to_bytes()),
+        })
+    }
+
     /// Heats with 1,000 W.
-    fn heat(&mut self) {
+    pub fn heat(&mut self) {
         self.request(&SetPower { power_w: 1_000 });
         self.run_ms(2_000);
         assert_eq!(self.housekeeping.control().state(), State::Heating);
         assert!(self.path.drive().is_switching());
     }
 
-    fn asked_w(&self) -> u16 {
+    pub fn asked_w(&self) -> u16 {
         self.housekeeping.control().asked_w()
     }
-}
-
-/// Lines that are shorted give back telemetry, windows, and the answer to the last request with its number.
-#[test]
-fn the_echo_of_its_own_frames_keeps_no_power_up() {
-    for echoes in [false, true] {
-        let mut desk = Desk::new();
-        desk.request(&Stream {
-            telemetry_every: 10,
-            windows_every: 50,
-        });
-        desk.heat();
-        desk.echoes = echoes;
-        // An answer is on its way as the host dies.
-        let mut frame = [0; MAX_ENCODED];
-        desk.number = desk.number.next();
-        let length = encode_numbered(&GetStatus {}, desk.number, desk.sent, &mut frame).unwrap();
-        desk.housekeeping.receive(&mut *desk.path, &frame[..length]);
-        desk.run_ms(HOST_UNHEARD_MS - 100);
-        assert_eq!(desk.asked_w(), 1_000, "echoes: {echoes}");
-        desk.run_ms(200);
-        assert_eq!(desk.asked_w(), 0, "echoes: {echoes}");
-        assert!(!desk.path.drive().is_switching());
-    }
-}
-
-/// A host sends requests for pieces of windows by itself; a request that comes again is of a host that had no answer.
-#[test]
-fn requests_keep_power_up_and_notices_do_not() {
-    let mut desk = Desk::new();
-    desk.heat();
-    for _ in 0..3 {
-        desk.run_ms(HOST_UNHEARD_MS - 2_500);
-        desk.request(&GetStatus {});
-        assert_eq!(desk.asked_w(), 1_000);
-    }
-    let mut again = [0; MAX_ENCODED];
-    let length = encode_numbered(&GetStatus {}, desk.number, desk.sent, &mut again).unwrap();
-    for _ in 0..2 {
-        desk.run_ms(HOST_UNHEARD_MS - 2_500);
-        desk.housekeeping.receive(&mut *desk.path, &again[..length]);
-        assert_eq!(desk.asked_w(), 1_000);
-    }
-    let piece = ResendWindow {
-        seq: 0,
-        piece: Piece::Start,
-        offset: 0,
-    };
-    for _ in 0..3 {
-        desk.run_ms(HOST_UNHEARD_MS / 3 + 100);
-        desk.notice(&piece);
-    }
-    assert_eq!(desk.asked_w(), 0);
-}
-
-/// Opened at the crest, the line's current would charge the DC link: a replay begins with the bridge open, or changes nothing.
-#[test]
-fn a_replay_that_is_refused_changes_nothing() {
-    let mut desk = Desk::new();
-    desk.heat();
-    desk.run_to_crest();
-    for (f_sw_hz, outcome) in [(1, Outcome::Malformed), (45_000, Outcome::NotIdle)] {
-        assert_eq!(desk.start_replay(f_sw_hz), outcome);
-        assert_eq!(desk.asked_w(), 1_000);
-        let block = desk.block;
-        while desk.block < block + 100 {
-            desk.step();
-            assert!(desk.path.drive().is_switching());
-        }
-        desk.run_to_crest();
-    }
-    // Off opens the bridge at the zero crossing, and no sooner for a replay's sake.
-    desk.request(&SetPower { power_w: 0 });
-    assert_eq!(desk.start_replay(45_000), Outcome::NotIdle);
-    desk.step();
-    assert!(desk.path.drive().is_switching());
-    desk.run_ms(12);
-    for _ in 0..2 {
-        assert_eq!(desk.start_replay(45_000), Outcome::Ok);
-        assert!(!desk.path.drive().is_switching());
-    }
-}
-
-/// The bridge may be on at any moment, though it waits for the mains.
-#[test]
-fn power_that_is_requested_and_not_yet_given_refuses_a_replay() {
-    let mut desk = Desk::new();
-    desk.mains = false;
-    desk.run_ms(20);
-    desk.request(&SetPower { power_w: 1_000 });
-    desk.run_ms(5);
-    assert!(!desk.path.drive().is_switching());
-    assert_eq!(desk.start_replay(45_000), Outcome::NotIdle);
-    assert_eq!(desk.asked_w(), 1_000);
 }
