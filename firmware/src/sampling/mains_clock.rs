@@ -77,6 +77,12 @@ impl MainsClock {
     #[inline]
     pub fn count_block(&mut self) {
         self.blocks = self.blocks.wrapping_add(1);
+        self.pass_block();
+    }
+
+    /// Passes the time of a block since boot.
+    #[inline]
+    pub fn pass_block(&mut self) {
         self.now_rest_ns += self.block_ns;
         // Not a division: a block is 37 to 88 µs.
         if self.now_rest_ns >= 1_000_000 {

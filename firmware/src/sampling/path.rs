@@ -130,6 +130,9 @@ impl<M: PairArithmetic> SamplingPath<M> {
     /// Takes one block from the ADC; returns the drive from the next block on. In
     /// replay mode the block is ignored and the bridge is off.
     pub fn on_block(&mut self, block: &AdcBlock<'_>) -> Drive {
+        if block.lost > 0 {
+            self.lose_blocks(block.lost);
+        }
         self.clock.count_block();
         self.housekeeping_gap.add(self.clock.block_ns());
         if !self.replaying {
@@ -166,7 +169,6 @@ impl<M: PairArithmetic> SamplingPath<M> {
         let tripped = self.protection.check_block(
             &sums,
             block.bus.dv,
-            block.lost,
             block_ns,
             at_crossing,
             // A recording may repeat itself.
@@ -193,6 +195,24 @@ impl<M: PairArithmetic> SamplingPath<M> {
         }
         self.take_drive(at_crossing, block.bus.dv);
         estimate
+    }
+
+    /// Passes the time of blocks that are missing before this one. Pairs that do not follow one another are no window.
+    #[cold]
+    #[inline(never)]
+    fn lose_blocks(&mut self, lost: u32) {
+        // A half-cycle has 267 at most, and the third trips.
+        for _ in 0..lost.min(300) {
+            self.clock.pass_block();
+            self.housekeeping_gap.add(self.clock.block_ns());
+            if !self.replaying {
+                self.clock.advance();
+            }
+        }
+        if !self.replaying {
+            self.protection.lose_blocks(lost);
+            self.recorder.interrupt();
+        }
     }
 
     /// Ends a half-cycle before pair `at` of the block and begins the next with it.

@@ -58,7 +58,7 @@ pub struct WindowCounters {
     pub due: u32,
     /// Windows recorded completely.
     pub recorded: u32,
-    /// Windows that found the slot taken, or that a frequency step cut short.
+    /// Windows that found the slot taken, or that a frequency step or a lost block cut short.
     pub dropped: u32,
 }
 
@@ -255,7 +255,7 @@ impl Recorder {
     }
 
     /// Completes a window in its tail with the trajectory it has, and drops one in the middle: the estimator restarts (frequency
-    /// step, inverter off).
+    /// step, inverter off), or blocks are missing.
     pub fn interrupt(&mut self) {
         match self.stage {
             Stage::Tail => self.complete(),

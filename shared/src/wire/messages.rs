@@ -186,7 +186,7 @@ message_table! { 'a;
         half_cycles: u32,
         /// Windows recorded completely.
         windows_recorded: u32,
-        /// Windows that were due and found the recorder busy.
+        /// Windows that were due and found the recorder busy, or that a step of the frequency or a lost block cut short.
         windows_dropped: u32,
         /// Telemetry messages that found their queue full.
         telemetry_dropped: u32,

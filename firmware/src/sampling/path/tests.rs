@@ -3,6 +3,7 @@ use crate::drive::bridge::Bridge;
 use crate::drive::sequencer::PotProbe;
 use crate::estimate::tank::resonant_inductance;
 use crate::limits::BOOTSTRAP_CHARGE_NS;
+use crate::sampling::recorder::WindowHeader;
 use core::f64::consts::TAU;
 use ihd_shared::fault::Fault;
 use ihd_shared::sampling::{ADC_LOCK_Q, AMPERE_PER_CODE, VOLT_PER_CODE};
@@ -168,4 +169,62 @@ fn after_a_replay_no_switch_closes_before_the_mains_has_passed_its_zero() {
     let seen = board.run(3 * HALF_CYCLE);
     assert!(seen[..to_crossing].iter().all(|b| *b == Bridge::Open));
     assert_eq!(seen.last(), Some(&Bridge::Switching));
+}
+
+/// Runs a board that records every half-cycle for a second. One or two blocks of so many half-cycles never come, as a late interrupt
+/// loses them. Returns the windows' headers and the board.
+fn run_with_losses(lost: u32, every: u32) -> (Vec<WindowHeader>, Board) {
+    let mut board = Board::new();
+    board.i_a = 20.0;
+    board.sampling_path.recorder().set_period(1);
+    board.heat();
+    board.run(4 * HALF_CYCLE);
+    // The bridge now switches at 60 kHz; blocks of 50 µs, 200 to a half-cycle.
+    let (mut windows, mut missing) = (Vec::new(), 0);
+    for real in 0..20_000_u32 {
+        board.block += 1;
+        if (real / 200).is_multiple_of(every) && (100..100 + lost).contains(&(real % 200)) {
+            missing += 1;
+            continue;
+        }
+        let pairs: [Pair; ADC_LOCK_P] = core::array::from_fn(|k| board.pair(k));
+        board.sampling_path.on_block(&AdcBlock {
+            pairs: &pairs,
+            zero_crossing: real.is_multiple_of(200).then_some(0),
+            bus: BusReading::steady(300),
+            dc_link_ma: None,
+            lost: core::mem::take(&mut missing),
+        });
+        let recorder = board.sampling_path.recorder();
+        windows.extend(recorder.ready().copied());
+        recorder.release();
+    }
+    (windows, board)
+}
+
+/// A window with a hole would join pairs that do not follow one another: it is dropped and counted, and time goes on.
+#[test]
+fn a_half_cycle_that_lost_blocks_is_no_window_and_lasts_as_long() {
+    // The slot is taken until its trajectory is complete, some blocks into the next half-cycle: one in two is recorded.
+    for (lost, every, whole) in [(0, 1, 49..=50), (1, 3, 32..=34), (2, 1, 0..=1)] {
+        let (windows, mut board) = run_with_losses(lost, every);
+        assert_eq!(board.sampling_path.fault(), Fault::NONE, "{lost} lost");
+        assert!(whole.contains(&windows.len()), "{} windows", windows.len());
+        for window in windows.iter().skip(1) {
+            let lasts_ns = 200 * ihd_shared::sampling::block_ns(window.f_sw_hz);
+            assert!(window.half_cycle_ns.abs_diff(lasts_ns) < 200, "{window:?}");
+            assert_eq!(u32::from(window.pairs), 200 * ADC_LOCK_P as u32);
+        }
+        let counters = board.sampling_path.recorder().counters();
+        let under_way = counters.due - counters.recorded - counters.dropped;
+        assert!(under_way <= 1, "{counters:?}");
+    }
+}
+
+#[test]
+fn lost_blocks_take_no_time_from_the_clock() {
+    let (_, without) = run_with_losses(0, 1);
+    let (_, with) = run_with_losses(2, 1);
+    let (without, with) = (without.sampling_path.now_ms(), with.sampling_path.now_ms());
+    assert!(with.abs_diff(without) <= 1, "{with} of {without} ms");
 }
