@@ -17,8 +17,12 @@
 //! show the current from 0.04 µs before the turn-off, where it is larger and [`SOFT_TURN_OFF_PERCENT`] has room
 //! for it, to 0.34 µs after it, where it is smaller and the limit acts early.
 
-use ihd_shared::hob::NODE_CAPACITANCE_NF;
-use ihd_shared::sampling::{ADC_LOCK_P, AMPERE_PER_CODE, I_FULL_SCALE_A, Pair, V_FULL_SCALE_V};
+use core::f64::consts::{PI, TAU};
+
+use ihd_shared::hob::{F_SW_MIN_HZ, NODE_CAPACITANCE_NF, RESONANCE_CAPACITANCE_NF};
+use ihd_shared::sampling::{
+    ADC_LOCK_P, AMPERE_PER_CODE, CODE_MAX, I_FULL_SCALE_A, Pair, V_FULL_SCALE_V,
+};
 use ihd_shared::units::PicoHenry;
 use ihd_shared::wire::messages::Limit;
 
@@ -48,6 +52,28 @@ const MIN_NORM: i64 = norm(MIN_CURRENT_CODE);
 
 /// Below this amplitude a block counts by its current squared.
 const FULL_NORM: i64 = norm(SOFT_RESONANCE_FROM_MA as f64 * 1e-3 / AMPERE_PER_CODE);
+
+/// Largest |I|² of samples within their range: that of a square wave.
+const MAX_NORM: i64 = norm(4.0 / PI * (CODE_MAX as f64 + 1.0));
+
+/// Largest factor of |I|²: the capacitor's reactance at the lowest frequency, with the margin, times ampere per volt of a code.
+const MAX_REACTANCE_Q16: f64 = 65_536e9
+    / (TAU * F_SW_MIN_HZ as f64 * RESONANCE_CAPACITANCE_NF as f64)
+    * (I_FULL_SCALE_A / V_FULL_SCALE_V)
+    * (100.0 / (100 - SOFT_RESONANCE_PERCENT) as f64);
+
+// A shortage is the difference of two products, and is added to the last blocks'.
+const _: () = assert!(
+    (if MAX_NORM > FULL_NORM {
+        MAX_NORM
+    } else {
+        FULL_NORM
+    }) as f64
+        * MAX_REACTANCE_Q16
+        < i64::MAX as f64 / 4.0,
+    "the board file's coil_current_full_scale_ma is too large beside coil_voltage_full_scale_mv, \
+     resonance_capacitance_nf and f_sw_min_hz: products of the resonance check exceed 64 bit"
+);
 
 /// |I|² of an amplitude in codes, in sums shifted by [`SHIFT`]: an amplitude A sums to A·61/2 in 14 bits.
 const fn norm(amplitude_code: f64) -> i64 {
