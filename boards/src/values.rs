@@ -37,7 +37,7 @@ values! {
     rating {
         rated_power_w: u16 100..=10_000, "Rated mean power over a mains half-cycle, in watt.";
         f_sw_min_hz: u32 20_000..=150_000, "Lowest switching frequency, in hertz.";
-        f_sw_max_hz: u32 20_000..=150_000, "Highest switching frequency, in hertz: the probe frequency.";
+        f_sw_max_hz: u32 77_000..=84_000, "Highest switching frequency, in hertz: the probe frequency, by which pots and sheets are told apart.";
     }
     supply {
         terminal_capacitance_nf: u32 50..=10_000, "C1 between the mains terminals, in nanofarad.";
@@ -55,7 +55,7 @@ values! {
         resonance_capacitance_nf: u32 100..=10_000, "Series resonance capacitor C_r, in nanofarad.";
     }
     coil {
-        coil_turns: u32 4..=27, "Turns of the coil; with more a pot's inductance exceeds the 64 µH of the lookup.";
+        coil_turns: u32 7..=27, "Turns of the coil; with fewer or more a pot's inductance is outside the 2 to 64 µH of the lookup.";
         coil_inner_um: u32 0..=500_000, "Inner radius of the coil, in micrometre.";
         coil_outer_um: u32 10_000..=500_000, "Outer radius of the coil, in micrometre.";
         coil_thickness_um: u32 100..=50_000, "Thickness of the coil, in micrometre.";
