@@ -229,6 +229,8 @@ impl Housekeeping {
     }
 
     /// Activates a lookup that waits for its turn.
+    // Not in the caller's frame, which would have room for a lookup in every block.
+    #[inline(never)]
     fn activate_lookup(&mut self, lock: &mut impl SamplingLock) {
         if let Some(version) = self.lookup.activate() {
             lock.with(|path| path.recorder().set_lookup_version(version));

@@ -60,8 +60,8 @@ message_table! { 'a;
     }
     /// Asks for a `Status`.
     0x04 Request GetStatus -> Status {}
-    /// Offers a lookup ([`crate::lookup::RlLookup::to_bytes`]). It becomes active at the next half-cycle boundary, seen in
-    /// `Status`.
+    /// Offers a lookup ([`crate::lookup::RlLookup::to_bytes`]). It becomes active at the next half-cycle boundary, or at
+    /// once while nothing heats, seen in `Status`.
     0x05 Request PushLookup<'a> -> Reply {
         /// The lookup's bytes, its own CRC included.
         #[serde(borrow)]
@@ -98,7 +98,7 @@ message_table! { 'a;
     /// Asks for a `Utilisation`.
     0x0b Request GetUtilisation -> Utilisation {}
     /// Back to the built-in lookup, version 0, which is kept like any other. It becomes active at the next
-    /// half-cycle boundary, seen in `Status`.
+    /// half-cycle boundary, or at once while nothing heats, seen in `Status`.
     0x0c Request ResetLookup -> Reply {}
     /// Settings, kept until the next boot.
     0x0d Request Configure -> Reply {
