@@ -370,9 +370,13 @@ impl SimHob {
         let fan = self.housekeeping.fan() && !self.watchdog.has_given_up();
         self.temperatures.advance(reading.duration_s, &heat, fan);
         let LumpTemperatures {
-            glass_c, ambient_c, ..
+            glass_c,
+            coil_c,
+            ambient_c,
+            ..
         } = self.temperatures;
         self.plant.set_surroundings(glass_c, ambient_c);
+        self.plant.set_winding_temperature(coil_c);
     }
 
     /// Temperatures of heat sink, glass and coil, for reading and setting.

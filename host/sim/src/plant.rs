@@ -210,6 +210,11 @@ impl Plant {
         self.coil.heat.set_surroundings(glass_c, room_c);
     }
 
+    /// Sets the temperature of the coil's winding in °C, by which its resistance goes.
+    pub fn set_winding_temperature(&mut self, coil_c: f64) {
+        self.coil.set_winding(coil_c, &mut self.inverter);
+    }
+
     /// Takes the heat in joule that the pot has given to the glass in the last `dt_s`.
     pub fn take_glass_heat_j(&mut self, dt_s: f64) -> f64 {
         self.coil.heat.take_given_j(&self.coil.pot, dt_s)

@@ -31,6 +31,9 @@ pub(super) const GLASS_W_PER_K: (f64, f64, f64) = (8.0, 1.0, 0.5);
 /// its own included.
 const GLASS_SENSOR_S: f64 = 10.0;
 
+/// Rise of copper's resistance for each kelvin, of that at 20 °C, and so of the winding's.
+const COPPER_PER_K: f64 = 0.003_93;
+
 /// Heat capacity of litz wire and carrier, in J/K.
 pub(super) const COIL_J_PER_K: f64 = 200.0;
 
@@ -100,7 +103,7 @@ impl LumpTemperatures {
         let (_, to_air, to_coil) = GLASS_W_PER_K;
         let down_w = to_coil * (glass_c - coil_c);
         let glass_w = -to_air * (glass_c - ambient_c) - down_w;
-        let copper_w = WINDING_R_OHM * heat.i_square_a2;
+        let copper_w = winding_r_ohm(coil_c) * heat.i_square_a2;
         let coil_w = copper_w + down_w - air(COIL_W_PER_K) * (coil_c - ambient_c);
         self.heat_sink_c += (sink_w * dt_s + heat.edges_j) / SINK_J_PER_K;
         self.glass_c += (glass_w * dt_s + heat.glass_j) / GLASS_J_PER_K;
@@ -119,6 +122,12 @@ impl LumpTemperatures {
             coil,
         }
     }
+}
+
+/// Resistance of the winding at a temperature in °C, in ohm; the board file's is that of a cold one, of [`AMBIENT_C`].
+pub fn winding_r_ohm(coil_c: f64) -> f64 {
+    let over_20c = |c: f64| 1.0 + COPPER_PER_K * (c - 20.0);
+    WINDING_R_OHM * over_20c(coil_c) / over_20c(AMBIENT_C)
 }
 
 /// Code of the NTC at a place in [`NTCS`], at a temperature in °C, with its injected fault.
@@ -205,6 +214,13 @@ mod tests {
         assert!((without.heat_sink_c - (25.0 + 53.8 / 0.4)).abs() < 0.1);
         assert!((60.0..110.0).contains(&with.coil_c), "{with:?}");
         assert!((85.0..105.0).contains(&with.glass_c), "{with:?}");
+    }
+
+    #[test]
+    fn a_winding_of_copper_has_a_third_more_resistance_at_100_c() {
+        // 1 + 0.00393 · 80 over 1 + 0.00393 · 5.
+        let ratio = winding_r_ohm(100.0) / WINDING_R_OHM;
+        assert!((ratio - 1.3144 / 1.01965).abs() < 1e-6, "{ratio}");
     }
 
     #[test]

@@ -44,11 +44,13 @@ impl AmplitudeLaw {
 }
 
 /// Effect of heat on R and L of a law: a hot load is the cold one at a lower frequency, with R and X of the load larger by the
-/// ratio of both ([`PotBase::heat_factor`]). The winding is not affected.
+/// ratio of both ([`PotBase::heat_factor`]). The winding has a temperature of its own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warmth {
     factor: f64,
     winding_r_ohm: f64,
+    /// Rise of the winding's resistance by its own heat, in ohm.
+    winding_rise_ohm: f64,
 }
 
 impl Default for Warmth {
@@ -56,6 +58,7 @@ impl Default for Warmth {
         Self {
             factor: 1.0,
             winding_r_ohm: 0.0,
+            winding_rise_ohm: 0.0,
         }
     }
 }
@@ -66,6 +69,7 @@ impl Warmth {
         Self {
             factor,
             winding_r_ohm,
+            winding_rise_ohm: 0.0,
         }
     }
 
@@ -87,7 +91,8 @@ impl Warmth {
     /// R in ohm and L in henry of the hot load from those of the cold one.
     pub fn bend(&self, (r_ohm, l_h): (f64, f64)) -> (f64, f64) {
         let of_load_ohm = r_ohm - self.winding_r_ohm;
-        (self.winding_r_ohm + self.factor * of_load_ohm, l_h)
+        let of_winding_ohm = self.winding_r_ohm + self.winding_rise_ohm;
+        (of_winding_ohm + self.factor * of_load_ohm, l_h)
     }
 }
 
@@ -139,8 +144,10 @@ pub enum LoadState {
     Field {
         /// Weight and state of each sector.
         sectors: Vec<(f64, FieldLoad<RINGS>)>,
-        /// Resistance of winding and shield in ohm.
+        /// Resistance of winding and shield in ohm, the winding cold.
         series_r_ohm: f64,
+        /// Rise of the winding's resistance by its heat, in ohm.
+        winding_rise_ohm: f64,
         /// Present flux linkage, in weber; `None` before the first step.
         lambda_wb: Option<f64>,
     },
@@ -169,6 +176,7 @@ impl LoadState {
         Ok(Self::Field {
             sectors,
             series_r_ohm,
+            winding_rise_ohm: 0.0,
             lambda_wb: None,
         })
     }
@@ -225,6 +233,16 @@ impl LoadState {
             }
         }
         Ok(())
+    }
+
+    /// Sets the rise of the winding's resistance by its heat, in ohm.
+    pub fn set_winding_rise(&mut self, ohm: f64) {
+        match self {
+            Self::Law(followed) => (followed.warmth.winding_rise_ohm, followed.hold) = (ohm, 0),
+            Self::Field {
+                winding_rise_ohm, ..
+            } => *winding_rise_ohm = ohm,
+        }
     }
 
     /// Returns `true` for the field model.
@@ -284,6 +302,7 @@ impl LoadState {
             Self::Field {
                 sectors,
                 series_r_ohm,
+                winding_rise_ohm,
                 lambda_wb,
             } => {
                 let (mut lambda0, mut l_h) = (0.0, 0.0);
@@ -296,7 +315,7 @@ impl LoadState {
                 FluxStep {
                     change0_wb: lambda0 - now,
                     l_h,
-                    r_ohm: *series_r_ohm,
+                    r_ohm: *series_r_ohm + *winding_rise_ohm,
                 }
             }
         }

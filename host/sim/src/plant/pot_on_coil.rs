@@ -10,9 +10,13 @@ use crate::inverter::{Inverter, InverterError, STEPS_PER_PERIOD};
 use crate::load_library::LoadLibrary;
 use crate::pot::SimulatedPot;
 use crate::recording::settings::LoadKind;
+use crate::temperatures::{AMBIENT_C, winding_r_ohm};
 
 /// Step in kelvin in which R and L follow the temperature: 0.001 % of either.
 const TEMPERATURE_STEP_K: f64 = 0.02;
+
+/// Step in kelvin in which the winding's R follows its temperature: 0.2 % of that.
+const WINDING_STEP_K: f64 = 0.5;
 
 /// Pot on the coil, with its warming and the models of all pots so far.
 #[derive(Clone, Debug)]
@@ -25,6 +29,8 @@ pub struct PotOnCoil {
     energy_j: f64,
     /// Present temperature of the load, in °C.
     load_c: f64,
+    /// Temperature of the winding that its resistance is of, in °C.
+    winding_c: f64,
 }
 
 impl PotOnCoil {
@@ -36,6 +42,7 @@ impl PotOnCoil {
             heat: WarmPots::default(),
             energy_j: 0.0,
             load_c: pot.temperature_c,
+            winding_c: AMBIENT_C,
         }
     }
 
@@ -58,7 +65,21 @@ impl PotOnCoil {
         self.pot = pot;
         self.load_c = pot.temperature_c;
         self.apply_temperature(inverter);
+        self.heat_winding(inverter);
         Ok(())
+    }
+
+    /// Sets the temperature of the winding in °C.
+    pub fn set_winding(&mut self, coil_c: f64, inverter: &mut Inverter) {
+        if (coil_c - self.winding_c).abs() >= WINDING_STEP_K {
+            self.winding_c = coil_c;
+            self.heat_winding(inverter);
+        }
+    }
+
+    fn heat_winding(&self, inverter: &mut Inverter) {
+        let rise_ohm = winding_r_ohm(self.winding_c) - WINDING_R_OHM;
+        inverter.load.set_winding_rise(rise_ohm);
     }
 
     /// Returns the load at another switching frequency, to replace the inverter's.
@@ -80,7 +101,7 @@ impl PotOnCoil {
         let energy_j = inverter.load_energy_j();
         let taken_j = energy_j - std::mem::replace(&mut self.energy_j, energy_j);
         let block_s = f64::from(ADC_LOCK_Q) / inverter.f_sw_hz();
-        let winding_j = 0.5 * WINDING_R_OHM * now.i_a * now.i_a * block_s;
+        let winding_j = 0.5 * winding_r_ohm(self.winding_c) * now.i_a * now.i_a * block_s;
         self.heat.heat(taken_j - winding_j, block_s);
         self.apply_temperature(inverter);
     }
@@ -97,8 +118,13 @@ impl PotOnCoil {
         }
     }
 
-    /// Sets the load's temperature.
+    /// Sets the temperatures of the load and of its winding.
     pub fn heat_load(&self, inverter: &mut Inverter) {
+        self.heat_pot(inverter);
+        self.heat_winding(inverter);
+    }
+
+    fn heat_pot(&self, inverter: &mut Inverter) {
         let (Some(_), Some(base)) = (self.heat.on_coil(), self.pot.base) else {
             return;
         };
