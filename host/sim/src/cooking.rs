@@ -172,16 +172,13 @@ impl Cooking {
         self.i_a = crest;
         // Mean of ½ R I² over the envelope.
         let points = 6;
-        let mean_w = |r_ohm: &dyn Fn(f64) -> f64| {
-            let at = |k| {
+        let power_w = (0..points)
+            .map(|k| {
                 let i_a = crest * (PI * (f64::from(k) + 0.5) / f64::from(2 * points)).sin();
-                0.5 * r_ohm(i_a) * i_a * i_a / f64::from(points)
-            };
-            (0..points).map(at).sum::<f64>()
-        };
-        let power_w = mean_w(&|i_a| laws.r_l(i_a).0);
-        let winding_w = mean_w(&|_| WINDING_R_OHM);
-        self.thermal.advance(power_w - winding_w, HALF_CYCLE_S);
+                0.5 * laws.r_l(i_a).0 * i_a * i_a / f64::from(points)
+            })
+            .sum::<f64>();
+        self.thermal.advance(power_w, HALF_CYCLE_S);
         self.control(power_w);
         let angle = TAU * f_hz / BIAS.2 + self.phase;
         let mut noise = |sigma: f64| {
