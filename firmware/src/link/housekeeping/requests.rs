@@ -36,8 +36,7 @@ impl Housekeeping {
                 let order = self.conversation.turn(number);
                 // Nothing else keeps power up: not what a host sends by itself for as long as windows come, and no echo of
                 // the device's own frames, which have the request's number.
-                let is_of_host = matches!(order, RequestOrder::New | RequestOrder::Again);
-                if is_of_host && is_request(id) {
+                if is_request(id) && matches!(order, RequestOrder::New | RequestOrder::Again) {
                     self.heard_ms = lock.with(|path| path.now_ms());
                 }
                 if !is_new_request(order, &self.conversation, &mut self.queue, number) {
