@@ -51,24 +51,25 @@ NTCS = {
 }
 V_REF_V, V_ADC_V, HALF_CODES = 1.65, 3.3, 2048
 
+FRONT_END = BOARD["front_end"]
 # The parts, in ohm, farad and turns: E96 resistors, E6 or E12 capacitors.
 PARTS = {
     "series": 4,
     # Three and one: no ratio of two E96 values is within 0.6 % of 640 V.
     "coil_top": 64.9e3,
     "coil_last": 63.4e3,
-    "coil_bottom": 665.0,
-    "mains_top": 232e3,
-    "mains_bottom": 3.83e3,
-    "mains_c": 2.2e-9,
-    "bus_top": 232e3,
-    "bus_bottom": 6.19e3,
-    "bus_c": 2.2e-9,
-    "turns": 200,
-    "burden": 4.12,
-    "pin_r": 316.0,
-    "pin_c_fast": 1e-9,
-    "pin_c_slow": 10e-9,
+    "coil_bottom": FRONT_END["coil_divider_bottom_ohm"],
+    "mains_top": FRONT_END["mains_divider_ohm"] / 4,
+    "mains_bottom": FRONT_END["mains_divider_bottom_ohm"],
+    "mains_c": FRONT_END["mains_amplifier_pf"] * 1e-12,
+    "bus_top": FRONT_END["bus_divider_ohm"] / 4,
+    "bus_bottom": FRONT_END["bus_divider_bottom_ohm"],
+    "bus_c": FRONT_END["bus_divider_pf"] * 1e-12,
+    "turns": FRONT_END["current_transformer_turns"],
+    "burden": FRONT_END["burden_mohm"] / 1e3,
+    "pin_r": FRONT_END["pin_ohm"],
+    "pin_c_fast": FRONT_END["fast_pin_pf"] * 1e-12,
+    "pin_c_slow": FRONT_END["slow_pin_pf"] * 1e-12,
     "bleeder": BOARD["supply"]["bleeder_ohm"],
     "dc_link": BOARD["supply"]["link_capacitance_nf"] * 1e-9,
     "x2": BOARD["supply"]["terminal_capacitance_nf"] * 1e-9,
@@ -101,7 +102,10 @@ def farad(c):
 
 
 def coil_chain_ohm():
-    return (PARTS["series"] - 1) * PARTS["coil_top"] + PARTS["coil_last"]
+    chain = (PARTS["series"] - 1) * PARTS["coil_top"] + PARTS["coil_last"]
+    if chain != FRONT_END["coil_divider_ohm"]:
+        sys.exit(f"boards/reference.toml has a chain of {FRONT_END['coil_divider_ohm']} ohm, its resistors {chain:g} ohm")
+    return chain
 
 
 def full_scales():

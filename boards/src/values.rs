@@ -75,10 +75,24 @@ values! {
         bus_full_scale_dv: u32 500..=15_000, "Bus voltage at the end of the converter's range, in decivolt.";
         mains_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the mains voltage's channel, in millivolt.";
         anti_alias_hz: u32 100_000..=5_000_000, "Corner of the first-order anti-alias filter of both fast channels, in hertz.";
-        coil_divider_ohm: u32 10_000..=10_000_000, "Resistance of each chain of the coil voltage's divider, in ohm.";
         bus_pole_hz: u32 100..=5_000_000, "Pole of the bus divider, in hertz.";
         mains_pole_hz: u32 100..=5_000_000, "Pole of the mains amplifier, in hertz.";
         slow_pin_pole_hz: u32 100..=5_000_000, "Pole at the pins of bus and mains, in hertz.";
+    }
+    front_end {
+        coil_divider_ohm: u32 10_000..=10_000_000, "Resistance of each chain of the coil voltage's divider, in ohm.";
+        coil_divider_bottom_ohm: u32 10..=100_000, "Resistor below each of these chains, in ohm.";
+        current_transformer_turns: u32 10..=10_000, "Turns of the current transformer's secondary winding, for one of its primary.";
+        burden_mohm: u32 100..=1_000_000, "Burden of the current transformer, in milliohm.";
+        bus_divider_ohm: u32 10_000..=100_000_000, "Resistance of the bus divider's chain, in ohm.";
+        bus_divider_bottom_ohm: u32 10..=1_000_000, "Resistor below that chain, in ohm.";
+        mains_divider_ohm: u32 10_000..=100_000_000, "Resistance of each chain of the mains voltage's divider, in ohm.";
+        mains_divider_bottom_ohm: u32 10..=1_000_000, "Resistor below each of these chains, in ohm.";
+        pin_ohm: u32 1..=100_000, "Resistor before each pin of the converters, in ohm.";
+        fast_pin_pf: u32 10..=1_000_000, "Capacitor at the pins of coil voltage and current, in picofarad.";
+        slow_pin_pf: u32 10..=1_000_000, "Capacitor at the pins of bus and mains, in picofarad.";
+        bus_divider_pf: u32 10..=1_000_000, "Capacitor at the bottom of the bus divider, in picofarad.";
+        mains_amplifier_pf: u32 10..=1_000_000, "Capacitor beside each bottom resistor of the mains voltage's divider, in picofarad.";
     }
     limits {
         planned_current_ma: u32 1_000..=500_000, "Crest of the coil current that power control plans with, in milliampere.";

@@ -1,11 +1,12 @@
 //! The two ADC channels: anti-alias filter, noise, 12-bit codes, saturation.
 
-use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
+use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
 use ihd_signal::quantise::code;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::front_end::{AMPERE_PER_CODE, VOLT_PER_CODE};
 use super::inverter::Instant;
 use super::low_pass::LowPass;
 
@@ -93,15 +94,28 @@ impl SimulatedAdc {
 
 #[cfg(test)]
 mod tests {
-    use ihd_shared::sampling::{CODE_MAX, CODE_MIN, I_FULL_SCALE_A, V_FULL_SCALE_V};
+    use ihd_shared::sampling::{CODE_MAX, CODE_MIN};
 
     use super::*;
+    use crate::front_end::{COIL_CURRENT_FULL_SCALE_A, COIL_VOLTAGE_FULL_SCALE_V};
+
+    /// 600 V over 258.1 kΩ in 665 Ω are 1.54591 V of 3.3 V, 76.07 A over 200 in 4.12 Ω are 1.56704 V.
+    #[test]
+    fn codes_are_those_of_the_schematics_parts() {
+        let mut adc = SimulatedAdc::new(ConverterNoise::default(), 0);
+        for (v_v, i_a) in [(600.0, 76.07), (-600.0, -76.07)] {
+            let sign = f64::signum(v_v);
+            let (pin_v, pin_i) = (600.0 * 665.0 / 258.1e3, 76.07 / 200.0 * 4.12);
+            let [v, i] = [pin_v, pin_i].map(|pin| (sign * pin / 3.3 * 4_096.0).round() as i16);
+            assert_eq!(adc.convert(v_v, i_a), Pair { v, i });
+        }
+    }
 
     #[test]
     fn codes_round_and_saturate() {
         let mut adc = SimulatedAdc::new(ConverterNoise::default(), 0);
         assert_eq!(
-            adc.convert(V_FULL_SCALE_V, -I_FULL_SCALE_A),
+            adc.convert(COIL_VOLTAGE_FULL_SCALE_V, -COIL_CURRENT_FULL_SCALE_A),
             Pair {
                 v: CODE_MAX,
                 i: CODE_MIN

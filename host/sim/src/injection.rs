@@ -8,8 +8,7 @@ use ihd_shared::sampling::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Supply of chip and front end without a fault, in volt (docs/board.md, "Scales").
-const NOMINAL_SUPPLY_V: f64 = 3.3;
+use crate::front_end::NOMINAL_SUPPLY_V;
 
 /// Supply below which the chip's detector (PVD) opens the bridge, in volt (docs/board.md, "Protection").
 const DETECTOR_V: f64 = 2.9;

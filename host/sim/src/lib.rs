@@ -12,6 +12,7 @@ pub mod circuit;
 pub mod contents;
 pub mod cooking;
 pub mod dividers;
+pub mod front_end;
 pub mod hob;
 pub mod injection;
 pub mod inverter;

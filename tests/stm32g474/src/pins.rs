@@ -3,10 +3,12 @@
 use std::collections::VecDeque;
 
 use ihd_firmware::drive::bridge;
-use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
-use ihd_shared::board::{self, BUS_FULL_SCALE_DV, Pin};
-use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
+use ihd_shared::board::{self, Pin};
+use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
 use ihd_sim::adc::SimulatedAdc;
+use ihd_sim::front_end::{
+    AMPERE_PER_CODE, BUS_FULL_SCALE_V, MAINS_FULL_SCALE_V, VOLT_PER_CODE,
+};
 use ihd_sim::hob::HobConfig;
 use ihd_sim::injection::{InjectionKind, Injections};
 use ihd_sim::plant::Plant;
@@ -16,9 +18,6 @@ use ihd_sim::temperatures::ntc_code;
 use crate::chip::hrtim::Bridge;
 use crate::processor::REFERENCE_CALIBRATION;
 use crate::usb::host::HostController;
-
-/// Bus voltage at the full scale of 12 bit, in volt (docs/board.md: PB1).
-const BUS_RANGE_V: f64 = BUS_FULL_SCALE_DV as f64 / 10.0;
 
 /// Pins of the panel's buttons: on/off, plus, minus, timer.
 const BUTTONS: [Pin; 4] = [
@@ -208,7 +207,7 @@ impl Pins {
         let dividers = self.plant.dividers();
         let (bus_v, mains_v) = (dividers.bus_v(), dividers.mains_v());
         let supply = self.injections.product(InjectionKind::Supply);
-        let bus = code(bus_v / BUS_RANGE_V * CODES) as u16;
+        let bus = code(bus_v / BUS_FULL_SCALE_V * CODES) as u16;
         let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
         let injected = self.injections.has(InjectionKind::ComparatorDead);
         let sensor = self.injections.current_sensor();

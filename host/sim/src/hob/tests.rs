@@ -1,9 +1,9 @@
 use std::f64::consts::TAU;
 
 use ihd_firmware::sense::mains::MAINS_DELAY_NS;
-use ihd_shared::board::ANTI_ALIAS_HZ;
 
 use super::*;
+use crate::front_end::ANTI_ALIAS_HZ;
 use crate::injection::{FaultChannel, Injection};
 use crate::inverter::supply::SupplyParts;
 
@@ -32,7 +32,7 @@ fn a_zero_crossing_is_late_by_its_filters() {
         }
         let mean_s = late_s.iter().sum::<f64>() / late_s.len() as f64;
         // Both channels of the coil are late, too.
-        let expected_s = f64::from(MAINS_DELAY_NS) * 1e-9 + 1.0 / (TAU * f64::from(ANTI_ALIAS_HZ));
+        let expected_s = f64::from(MAINS_DELAY_NS) * 1e-9 + 1.0 / (TAU * ANTI_ALIAS_HZ);
         assert!((mean_s - expected_s).abs() < 0.25 * dt_s + 0.3e-6);
         for late_s in late_s {
             assert!((late_s - expected_s).abs() < 0.5 * dt_s + 5.0 * 1.9e-6);

@@ -7,10 +7,9 @@
 //! When the bus falls below the node, or the capacitor is below ground, a diode conducts again: so the capacitor follows the mains
 //! to its next zero. The ringing of the coil with the node's few nanofarad is not modelled.
 
-use ihd_shared::board::COIL_DIVIDER_OHM;
-
 use super::load::FluxStep;
 use super::{Instant, Inverter};
+use crate::front_end::COIL_CHAIN_OHM;
 
 /// Margin of the capacitor below the bus with which the upper diode blocks for a microsecond, in volt: the steepest mains falls by
 /// 0.15 V.
@@ -84,7 +83,7 @@ impl Inverter {
 
     fn float(&mut self, open_v: f64, to_s: f64, dt_s: f64) {
         // The divider of the coil's voltage discharges the capacitor.
-        let divider_s = f64::from(COIL_DIVIDER_OHM) * self.circuit.c_f;
+        let divider_s = COIL_CHAIN_OHM * self.circuit.c_f;
         let lost_v = self.circuit.v_c_v * (dt_s / divider_s);
         self.circuit.v_c_v -= lost_v;
         let open_v = open_v - lost_v;

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::front_end::ANTI_ALIAS_HZ;
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
@@ -23,7 +24,8 @@ pub struct Board {
 impl Board {
     /// Runs the image as fast as possible on a chip whose unique number begins with `unique`.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
-        let filtered = |seed| SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(500e3);
+        let filtered =
+            |seed| SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(ANTI_ALIAS_HZ);
         let plant = move || {
             Plant::new(
                 SimulatedMains::of_board(),
