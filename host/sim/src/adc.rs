@@ -15,6 +15,10 @@ const BITS: u32 = 12;
 
 const _: () = assert!(CODE_HALF_RANGE == 1 << (BITS - 1));
 
+/// Time from the beginning of a sampling period to the hold of both channels, in seconds, as the program sets up the chip: HRTIM's
+/// compare 3 of 0x60 ticks, then 2.125 cycles of trigger latency and 2.5 of sampling at 42.5 MHz.
+pub const HOLD_DELAY_S: f64 = 0x60 as f64 / 1.36e9 + (2.125 + 2.5) / 42.5e6;
+
 /// White noise of the two channels, standard deviations.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ConverterNoise {

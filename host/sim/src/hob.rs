@@ -35,6 +35,7 @@ use board::{SimulatedBoard, comparator_a, reference};
 pub use config::{BENCH_TRANSFORMER_V, HobConfig};
 use watchdog::Watchdog;
 
+use super::adc::HOLD_DELAY_S;
 use super::injection::{InjectionKind, Injections};
 use super::inverter::InverterError;
 use super::mains::SimulatedMains;
@@ -136,6 +137,7 @@ impl SimHob {
     pub fn assemble(config: &HobConfig) -> Result<Self, InverterError> {
         let boot_id = config.boot.unwrap_or(config.seed as u32);
         let mut plant = config.plant()?;
+        plant.set_hold_delay(HOLD_DELAY_S);
         let trip_a = comparator_a(SupplyScale::NOMINAL, &Injections::default());
         plant.set_comparator(trip_a, TRIP_DELAY_S);
         Ok(Self {

@@ -3,7 +3,8 @@ use std::f64::consts::TAU;
 use ihd_firmware::sense::mains::MAINS_DELAY_NS;
 
 use super::*;
-use crate::front_end::ANTI_ALIAS_HZ;
+use crate::adc::ConverterNoise;
+use crate::front_end::{AMPERE_PER_CODE, ANTI_ALIAS_HZ};
 use crate::injection::{FaultChannel, Injection};
 use crate::inverter::supply::SupplyParts;
 
@@ -120,4 +121,30 @@ fn a_wrong_reference_is_found_within_16_ms_and_a_low_supply_at_once() {
     }
     let low = off_after_s(InjectionKind::Supply, 0.87, 1.0033);
     assert_eq!(low, (0.0, Fault::SUPPLY_LOW));
+}
+
+/// Trigger of 0x60 ticks of 735 ps, and 4.625 cycles of 42.5 MHz until the hold: 179.4 ns.
+#[test]
+fn a_pair_is_held_when_the_boards_converters_hold_it() {
+    let mut hob = SimHob::new(&HobConfig {
+        anti_alias_hz: 0.0,
+        noise: ConverterNoise::default(),
+        ..HobConfig::default()
+    });
+    hob.plant.set_drive(Drive::switching(50_000));
+    while hob.plant.t_s() < 5e-3 {
+        hob.plant.block(|_| ());
+    }
+    let held = 179.4e-9 / hob.plant.dt_s();
+    let mut last_a = 0.0;
+    hob.plant.sample(|i_a| last_a = i_a);
+    for _ in 0..ADC_LOCK_P {
+        let mut seen_a = vec![last_a];
+        let pair = hob.plant.sample(|i_a| seen_a.push(i_a));
+        let before = held as usize;
+        let held_a = seen_a[before] + held.fract() * (seen_a[before + 1] - seen_a[before]);
+        let error_a = f64::from(pair.i) * AMPERE_PER_CODE - held_a;
+        assert!(error_a.abs() <= 0.52 * AMPERE_PER_CODE, "{error_a} A");
+        last_a = *seen_a.last().unwrap();
+    }
 }

@@ -9,6 +9,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 use ihd_shared::wire::messages::Configure;
+use ihd_sim::adc::HOLD_DELAY_S;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::cpu::trace::{Trace, TracedRun};
 use ihd_stm32g474::cpu::{CycleModel, HandlerTime};
@@ -211,6 +212,8 @@ fn a_pair_is_held_after_trigger_latency_and_sampling_time() {
     drop(connect(&bench));
     let held_ns = bench.with(|machine| machine.chip().hold_delay_s()) * 1e9;
     assert!((held_ns - (70.6 + 108.8)).abs() < 1.0, "{held_ns}");
+    // `ihd hob` holds its pairs at the same time.
+    assert!((held_ns - HOLD_DELAY_S * 1e9).abs() < 1.0, "{held_ns}");
 }
 
 /// Another frequency at every second half-cycle, and windows that end and begin at the same time.
