@@ -51,7 +51,7 @@ values! {
     bridge {
         dead_time_ns: u32 100..=3_000, "Dead time between the two switches, in nanosecond.";
         node_capacitance_nf: u32 1..=100, "Capacitance of the bridge's node (both switches and their snubbers), in nanofarad.";
-        trip_delay_ns: u32 0..=10_000, "Time from the trip level to an open switch, in nanosecond.";
+        trip_delay_ns: u32 0..=10_000, "Time from the comparators' pin above its level to an open switch, without the filter of the fault input, in nanosecond.";
         resonance_capacitance_nf: u32 100..=10_000, "Series resonance capacitor C_r, in nanofarad.";
     }
     coil {

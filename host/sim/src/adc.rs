@@ -73,6 +73,12 @@ impl SimulatedAdc {
         self.filters[1].advance(now.i_a, dt_s);
     }
 
+    /// Present output of the current's filter, at the pin of the comparators, in ampere.
+    #[inline]
+    pub fn current_a(&self) -> f64 {
+        self.filters[1].output()
+    }
+
     /// Present outputs of the filters: voltage in volt, current in ampere.
     pub fn outputs(&mut self) -> [f64; 2] {
         self.filters.iter_mut().for_each(LowPass::end_decay);

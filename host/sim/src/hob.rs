@@ -23,7 +23,6 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::bus::{BUS_MEAN, BusReading};
 use ihd_firmware::sense::mains::ZeroCrossingDetector;
 use ihd_firmware::sense::supply::SupplyScale;
-use ihd_shared::board::TRIP_DELAY_NS;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
 use ihd_shared::lookup::prior::prior;
@@ -53,10 +52,6 @@ const SETTLED_AFTER_S: f64 = 0.5e-3;
 
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
 const TRUTH_EVERY: usize = 8;
-
-/// Time from there to an open switch, in seconds (docs/board.md, "Current and trip"): anti-alias filter on a ramp, comparator,
-/// filter of the fault input, gate driver, IGBT.
-const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;
 
 /// Time without a block after which the board's sampling watchdog opens both switches, in seconds.
 const SAMPLING_WATCHDOG_S: f64 = 0.5e-3;
@@ -139,7 +134,7 @@ impl SimHob {
         let mut plant = config.plant()?;
         plant.set_hold_delay(HOLD_DELAY_S);
         let trip_a = comparator_a(SupplyScale::NOMINAL, &Injections::default());
-        plant.set_comparator(trip_a, TRIP_DELAY_S);
+        plant.set_comparator(trip_a);
         Ok(Self {
             plant,
             drive: (Drive::OFF, soft_start::WHOLE_SHARE),
@@ -470,7 +465,7 @@ impl SimHob {
     fn set_comparator(&mut self) {
         let scale = self.housekeeping.control().supply_scale();
         let trip_a = comparator_a(scale, &self.injections);
-        self.plant.set_comparator(trip_a, TRIP_DELAY_S);
+        self.plant.set_comparator(trip_a);
     }
 
     /// Readings of the last true half-cycle, once after each.

@@ -9,6 +9,7 @@
 pub mod adc;
 pub mod behavioural;
 pub mod circuit;
+pub mod comparator;
 pub mod contents;
 pub mod cooking;
 pub mod dividers;

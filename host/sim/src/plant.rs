@@ -11,6 +11,7 @@ use ihd_signal::truth::MapTruth;
 
 use super::adc::SimulatedAdc;
 use super::circuit::Circuit;
+use super::comparator::{FAULT_FILTER_S, FilteredComparator, TRIP_DELAY_S};
 use super::contents::PotContents;
 use super::dividers::{DividedVoltages, Dividers};
 use super::injection::CurrentSensor;
@@ -52,10 +53,9 @@ pub struct Plant {
     drive: Drive,
     inverter: Inverter,
     /// Output of the current sensor in ampere at which the comparator opens both switches; infinite without one.
-    comparator_a: f64,
+    trip_a: f64,
+    comparator: FilteredComparator,
     current_sensor: CurrentSensor,
-    /// Time from the comparator's threshold to open switches, in seconds.
-    comparator_delay_s: f64,
     /// Time at which the comparator's trip opens the bridge, in seconds; `None` while it is not tripped.
     tripped_s: Option<f64>,
     /// Set if it tripped before the drive opened the bridge, until that is read.
@@ -123,9 +123,9 @@ impl Plant {
             hold_delay_s: 0.0,
             drive,
             inverter,
-            comparator_a: f64::INFINITY,
+            trip_a: f64::INFINITY,
+            comparator: FilteredComparator::default(),
             current_sensor: CurrentSensor::default(),
-            comparator_delay_s: 0.0,
             tripped_s: None,
             has_tripped: false,
             opening: HardwareOpening::default(),
@@ -135,10 +135,10 @@ impl Plant {
         })
     }
 
-    /// Sets the coil current in ampere from which on a comparator opens both switches `delay_s` later; infinite for none.
+    /// Sets the coil current in ampere at which a comparator behind the anti-alias filter opens both switches; infinite for none.
     /// They stay open until the drive has requested that too.
-    pub fn set_comparator(&mut self, trip_a: f64, delay_s: f64) {
-        (self.comparator_a, self.comparator_delay_s) = (trip_a, delay_s);
+    pub fn set_comparator(&mut self, trip_a: f64) {
+        self.trip_a = trip_a;
     }
 
     /// Sets the current sensor that the comparator sees.
@@ -380,8 +380,8 @@ impl Plant {
         self.inverter.dt_s()
     }
 
-    /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere after every integration
-    /// step, as seen by a comparator. The pot does not warm up.
+    /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere behind the anti-alias
+    /// filter after every integration step, as a comparator sees it. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         let start = self.adc.outputs();
         self.inverter.bus.end_decay();
@@ -397,7 +397,7 @@ impl Plant {
         if bridge == Bridge::Open && self.inverter.is_at_rest() {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);
             self.adc.advance(&now, sample_s);
-            current(now.i_a);
+            current(self.adc.current_a());
             self.end_sample(crest, sample_s);
             return self.adc.convert(start[0], start[1]);
         }
@@ -417,7 +417,7 @@ impl Plant {
                 false => bridge,
                 true => Bridge::Open,
             };
-            done += self.advance(bridge, until - done, &mut |now| {
+            done += self.advance(bridge, until - done, &mut |now, pin_a| {
                 let (i_a, coil_v) = (now.i_a.abs(), now.coil_v.abs());
                 // `f64::max` minds NaN, at every step.
                 if i_a > crest.0 {
@@ -426,7 +426,7 @@ impl Plant {
                 if coil_v > crest.1 {
                     crest.1 = coil_v;
                 }
-                current(now.i_a);
+                current(pin_a);
             });
             if done == whole {
                 around = [self.adc.outputs(); 2];
@@ -448,7 +448,12 @@ impl Plant {
     }
 
     /// Advances by up to `steps` integration steps, until the comparator trips; returns the number done.
-    fn advance(&mut self, bridge: Bridge, steps: usize, seen: &mut impl FnMut(&Instant)) -> usize {
+    fn advance(
+        &mut self,
+        bridge: Bridge,
+        steps: usize,
+        seen: &mut impl FnMut(&Instant, f64),
+    ) -> usize {
         if self.inverter.load.is_field() {
             self.observer.start(&self.inverter);
         }
@@ -456,9 +461,9 @@ impl Plant {
         let Self {
             adc,
             inverter,
-            comparator_a,
+            trip_a,
+            comparator,
             current_sensor,
-            comparator_delay_s,
             tripped_s,
             ..
         } = self;
@@ -468,10 +473,15 @@ impl Plant {
         };
         let done = inverter.run(bridge, steps, |now| {
             adc.advance(now, dt_s);
-            if current_sensor.output_a(now.i_a).abs() >= *comparator_a && tripped_s.is_none() {
-                *tripped_s = Some(now.t_s + *comparator_delay_s);
+            let pin_a = adc.current_a();
+            let excess_a = current_sensor.output_a(pin_a).abs() - *trip_a;
+            let lasted = comparator.advance(excess_a, FAULT_FILTER_S, dt_s);
+            if let Some(before_s) = lasted
+                && tripped_s.is_none()
+            {
+                *tripped_s = Some(now.t_s - before_s + TRIP_DELAY_S);
             }
-            seen(now);
+            seen(now, pin_a);
             tripped_s.is_none_or(|at_s| at_s > now.t_s)
         });
         if self.inverter.load.is_field() {

@@ -6,6 +6,7 @@ use ihd_firmware::drive::bridge;
 use ihd_shared::board::{self, Pin};
 use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
 use ihd_sim::adc::SimulatedAdc;
+use ihd_sim::comparator::FilteredComparator;
 use ihd_sim::front_end::{
     AMPERE_PER_CODE, BUS_FULL_SCALE_V, MAINS_FULL_SCALE_V, VOLT_PER_CODE,
 };
@@ -84,8 +85,8 @@ pub struct Pins {
     bridge: Bridge,
     /// Settings of the comparators at PA1 and PA7, the latter inverted; `None` if off.
     pub comparators: [Option<Comparator>; 2],
-    /// Time for which each comparator has been above its threshold, in seconds.
-    above_s: [f64; 2],
+    /// Time for which each comparator has been above its threshold.
+    above: [FilteredComparator; 2],
     /// Fault injection: comparators that never trip.
     pub dead_comparators: [bool; 2],
     /// Temperatures of heat sink, glass and coil in °C.
@@ -114,7 +115,7 @@ impl Pins {
             usb,
             bridge: Bridge::Open,
             comparators: [None; 2],
-            above_s: [0.0; 2],
+            above: [FilteredComparator::default(); 2],
             dead_comparators: [false; 2],
             temperatures_c: [25.0; 3],
             injections: Injections::default(),
@@ -192,7 +193,7 @@ impl Pins {
 
     /// Returns `true` for each comparator whose input has been above the threshold for longer than the filter.
     pub fn comparators_above(&self) -> [bool; 2] {
-        [0, 1].map(|k| self.comparators[k].is_some_and(|one| self.above_s[k] > one.filter_s))
+        [0, 1].map(|k| self.comparators[k].is_some_and(|one| self.above[k].above_s() > one.filter_s))
     }
 
     /// State of the bridge.
@@ -208,7 +209,7 @@ impl Pins {
         let (bus_v, mains_v) = (dividers.bus_v(), dividers.mains_v());
         let supply = self.injections.product(InjectionKind::Supply);
         let bus = code(bus_v / BUS_FULL_SCALE_V * CODES) as u16;
-        let (comparators, above_s, surge_a) = (self.comparators, &mut self.above_s, self.surge_a);
+        let (comparators, above, surge_a) = (self.comparators, &mut self.above, self.surge_a);
         let injected = self.injections.has(InjectionKind::ComparatorDead);
         let sensor = self.injections.current_sensor();
         let dead = self.dead_comparators.map(|dead| dead || injected);
@@ -223,13 +224,9 @@ impl Pins {
                 };
                 let code = MIDDLE + sign * (sensor.output_a(i_a) + surge_a) / AMPERE_PER_CODE;
                 let threshold = MIDDLE + (comparator.threshold_code - MIDDLE) * supply;
-                above_s[k] = if code > threshold {
-                    above_s[k] + dt_s
-                } else {
-                    0.0
-                };
-                if above_s[k] > comparator.filter_s {
-                    tripped[k].get_or_insert(f64::from(step) * dt_s);
+                let lasted = above[k].advance(code - threshold, comparator.filter_s, dt_s);
+                if let Some(before_s) = lasted {
+                    tripped[k].get_or_insert((f64::from(step) * dt_s - before_s).max(0.0));
                 }
             }
         });

@@ -148,3 +148,11 @@ fn a_pair_is_held_when_the_boards_converters_hold_it() {
         last_a = *seen_a.last().unwrap();
     }
 }
+
+/// Code 1945 of 2048 for 1.65 V on 4.12 Ω behind 1 : 200.
+#[test]
+fn the_trip_level_is_that_of_the_schematics_burden() {
+    let trip_a = comparator_a(SupplyScale::NOMINAL, &Injections::default());
+    let expected_a = 1_945.0 / 2_048.0 * 1.65 / 4.12 * 200.0;
+    assert!((trip_a - expected_a).abs() < 1e-6, "{trip_a} {expected_a}");
+}

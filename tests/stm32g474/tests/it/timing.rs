@@ -11,6 +11,7 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 use ihd_shared::wire::messages::Configure;
 use ihd_sim::adc::HOLD_DELAY_S;
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::comparator::FAULT_FILTER_S;
 use ihd_stm32g474::cpu::trace::{Trace, TracedRun};
 use ihd_stm32g474::cpu::{CycleModel, HandlerTime};
 use ihd_stm32g474::registers::dma1::cndtr1;
@@ -212,8 +213,13 @@ fn a_pair_is_held_after_trigger_latency_and_sampling_time() {
     drop(connect(&bench));
     let held_ns = bench.with(|machine| machine.chip().hold_delay_s()) * 1e9;
     assert!((held_ns - (70.6 + 108.8)).abs() < 1.0, "{held_ns}");
-    // `ihd hob` holds its pairs at the same time.
+    // `ihd hob` holds its pairs at the same time, and filters its comparators alike.
     assert!((held_ns - HOLD_DELAY_S * 1e9).abs() < 1.0, "{held_ns}");
+    let comparators = bench.with(|machine| machine.chip().pins.comparators);
+    for comparator in comparators {
+        let filter_s = comparator.expect("both compare").filter_s;
+        assert!((filter_s - FAULT_FILTER_S).abs() < 1e-12, "{filter_s}");
+    }
 }
 
 /// Another frequency at every second half-cycle, and windows that end and begin at the same time.
