@@ -269,8 +269,8 @@ impl Case {
                 s.line_r_ohm, s.terminal_capacitance_f, s.choke_l_h
             ),
         };
-        if s.bleeder_ohm.is_finite() {
-            let _ = writeln!(text, "Rbleed dc 0 {}", s.bleeder_ohm);
+        if s.discharge_ohm.is_finite() {
+            let _ = writeln!(text, "Rbleed dc 0 {:.0}", s.discharge_ohm);
         }
         let _ = write!(
             text,

@@ -63,7 +63,7 @@ limits! {
     /// Bus voltage from which it does so in quarters of [`STEP_DOWN_HZ`].
     NEAR_BUS_DV: u16 = (board::BUS_TRIP_DV as u32 * 92 / 100) as u16, "dV";
     /// Longest time of a bus above [`BUS_TRIP_DV`] while the bridge does not switch. If it opens at the mains' crest, the line's
-    /// inductance charges the link: 533 V at 265 V and 2500 W behind 0.8 mH, of which the bleeder leaves 420 V after 105 ms.
+    /// inductance charges the link: 533 V at 265 V and 2500 W behind 0.8 mH, of which bleeder and divider leave 420 V after 96 ms.
     BUS_SURGE_NS: u32 = 500_000_000, "ns";
     /// Bus voltage above which the bridge does not begin to switch: the crest of 265 V is 375 V.
     BUS_START_MAX_DV: u16 = board::BUS_START_MAX_DV, "dV";

@@ -66,7 +66,7 @@ fn the_documents_netlist_has_the_schematics_parts() {
         "C2 dc 0 4.700000e-6",
         "Lline e1 t 8.000000e-4",
         "C1 t b 4.700000e-7",
-        "Rbleed dc 0 94000",
+        "Rbleed dc 0 85406",
         "Cr x 0 1080n",
         "Clow sw 0 7.5n",
     ] {

@@ -78,6 +78,14 @@ impl SwitchedHalfBridge {
         }
     }
 
+    /// Capacitance of the node, in farad; 0 if its edges are of fixed duration.
+    pub fn node_capacitance_f(&self) -> f64 {
+        match &self.edge {
+            Edge::Fixed(_) => 0.0,
+            Edge::Node(node) => node.capacitance_f(),
+        }
+    }
+
     /// Node voltage as a share of the bus.
     pub fn level(&self) -> f64 {
         self.level

@@ -42,8 +42,8 @@ pub(super) struct Charging {
     pub volt_per_ampere: f64,
     /// Current of the rectifier, in ampere.
     pub rectifier_a: f64,
-    /// Conductance of the bleeder, in siemens.
-    pub bleeder_s: f64,
+    /// Conductance across the link, in siemens.
+    pub discharge_s: f64,
 }
 
 /// State of a line with inductance.
@@ -66,7 +66,7 @@ struct Reciprocals {
     choke_l: f64,
     terminal_c: f64,
     link_c: f64,
-    bleeder_r: f64,
+    discharge_r: f64,
 }
 
 impl Reciprocals {
@@ -76,7 +76,7 @@ impl Reciprocals {
             choke_l: parts.choke_l_h.recip(),
             terminal_c: parts.terminal_capacitance_f.recip(),
             link_c: parts.link_capacitance_f.recip(),
-            bleeder_r: parts.bleeder_ohm.recip(),
+            discharge_r: parts.discharge_ohm.recip(),
         }
     }
 }
@@ -189,6 +189,11 @@ impl Bus {
         }
     }
 
+    /// Returns `true` if the bus holds its voltage while the mains passes its zero.
+    pub(super) fn holds(&self) -> bool {
+        self.supply_v.is_some() || self.parts.link_capacitance_f > 0.0
+    }
+
     /// Returns `true` if line and choke have an effect.
     fn has_line(&self) -> bool {
         self.parts.line_l_h > 0.0 && self.parts.link_capacitance_f > 0.0 && self.supply_v.is_none()
@@ -212,7 +217,7 @@ impl Bus {
                 steps,
                 volt_per_ampere: 0.0,
                 rectifier_a: 0.0,
-                bleeder_s: 0.0,
+                discharge_s: 0.0,
             });
         }
         if !self.has_line() {
@@ -226,7 +231,7 @@ impl Bus {
             steps,
             volt_per_ampere: dt_s * self.per.link_c,
             rectifier_a: self.line.rectifier_a.abs(),
-            bleeder_s: self.per.bleeder_r,
+            discharge_s: self.per.discharge_r,
         })
     }
 
@@ -249,7 +254,7 @@ impl Bus {
         let line_v = self.line_v(t_s);
         let parts = &self.parts;
         let rate = dt_s * self.per.link_c;
-        let drawn_a = i_a + self.v * self.per.bleeder_r;
+        let drawn_a = i_a + self.v * self.per.discharge_r;
         let v = if parts.line_l_h > 0.0 {
             let voltages = (line_v, self.v);
             self.line.advance(parts, &self.per, voltages, dt_s);
@@ -371,13 +376,29 @@ mod tests {
             (most_v / expected_v - 1.0).abs() < 0.02,
             "{most_v} {expected_v}"
         );
-        // It stays: the mains cannot take it back, the bleeder takes 0.44 s.
-        let left_v = most_v * (-(8e-3 - 5.3e-3) / (94e3 * 4.7e-6f64)).exp();
+        // It stays: the mains cannot take it back, bleeder and divider take 0.40 s.
+        let left_v = most_v * (-(8e-3 - 5.3e-3) / (85.41e3 * 4.7e-6f64)).exp();
         assert!(
             (bus.v() / left_v - 1.0).abs() < 0.003,
             "{} {left_v}",
             bus.v()
         );
+    }
+
+    /// 94 kΩ and 4 · 232 kΩ + 6.19 kΩ side by side, on 4.7 µF: 0.4014 s.
+    #[test]
+    fn bleeder_and_divider_discharge_the_link() {
+        let mut mains = SimulatedMains::new(50.0);
+        let mut bus = Bus::new(mains, SupplyParts::SCHEMATIC, 5e-3).unwrap();
+        mains = mains.changed(5e-3, 0.0, 50.0);
+        bus.set_mains(mains);
+        // Above what C1 has.
+        bus.v = 400.0;
+        for n in 1..=400_000 {
+            bus.advance(5e-3 + f64::from(n) * 0.5e-6, 0.5e-6, 0.0);
+        }
+        let expected_v = 400.0 * (-0.2f64 / 0.4014).exp();
+        assert!((bus.v() / expected_v - 1.0).abs() < 1e-3, "{}", bus.v());
     }
 
     /// Crest of the mains on a discharged link: ngspice 39 gives 566.2 V after 194.4 µs.

@@ -45,7 +45,7 @@ impl LinearStep {
         let bus = [
             -1.5 * drawn,
             0.5 * drawn,
-            1.0 - link.volt_per_ampere * link.bleeder_s,
+            1.0 - link.volt_per_ampere * link.discharge_s,
             link.volt_per_ampere * link.rectifier_a,
         ];
         let by_bus = 0.5 * gain * level;
@@ -100,7 +100,7 @@ mod tests {
                 steps: 6,
                 volt_per_ampere: dt_s / 4.7e-6,
                 rectifier_a: 7.0,
-                bleeder_s: 1.0 / 94e3,
+                discharge_s: 1.0 / 94e3,
             };
             let old = LoopState {
                 i_a,
@@ -114,7 +114,7 @@ mod tests {
                 ..Circuit::default()
             };
             let drawn_a = level * (1.5 * i_a - 0.5 * old.before_a);
-            let into_a = link.rectifier_a - drawn_a - bus_v * link.bleeder_s;
+            let into_a = link.rectifier_a - drawn_a - bus_v * link.discharge_s;
             let new_bus_v = (bus_v + link.volt_per_ampere * into_a).max(0.0);
             circuit.step(0.5 * (bus_v + new_bus_v) * level, r_ohm, l_h, dt_s);
             let by_c = circuit.volt_per_ampere(dt_s);

@@ -2,13 +2,14 @@
 //!
 //! ```text
 //!  e(t) ── line R, L ──┬── L1 ── rectifier ──┬────────┬── bridge
-//!                      C1                    C2    bleeder
+//!                      C1                    C2    bleeder, divider
 //!  ────────────────────┴─────────────────────┴────────┴──
 //! ```
 
 use ihd_shared::board;
 
 use super::{InverterError, in_range};
+use crate::front_end::BUS_CHAIN_OHM;
 
 /// Values of the parts between mains and bridge.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,8 +28,8 @@ pub struct SupplyParts {
     pub rectifier_r_ohm: f64,
     /// Capacitance C2 of the DC link, in farad; 0: the bus is the rectified mains, whatever the other parts.
     pub link_capacitance_f: f64,
-    /// Resistance of the bleeder at the DC link, in ohm; infinite for none.
-    pub bleeder_ohm: f64,
+    /// Resistance across the DC link, bleeder and divider of its voltage side by side, in ohm; infinite for none.
+    pub discharge_ohm: f64,
 }
 
 /// Resistance of line, fuse and rectifier in front of the capacitor of [`SupplyParts::stiff`], in ohm.
@@ -48,7 +49,7 @@ impl SupplyParts {
             rectifier_v: 0.0,
             rectifier_r_ohm: 0.0,
             link_capacitance_f,
-            bleeder_ohm: f64::INFINITY,
+            discharge_ohm: f64::INFINITY,
         }
     }
 
@@ -61,7 +62,7 @@ impl SupplyParts {
         rectifier_v: board::RECTIFIER_MV as f64 * 1e-3,
         rectifier_r_ohm: board::RECTIFIER_MOHM as f64 * 1e-3,
         link_capacitance_f: board::LINK_CAPACITANCE_NF as f64 * 1e-9,
-        bleeder_ohm: board::BLEEDER_OHM as f64,
+        discharge_ohm: 1.0 / (1.0 / board::BLEEDER_OHM as f64 + 1.0 / BUS_CHAIN_OHM),
     };
 
     /// Returns these parts with another capacitance of the DC link in farad and inductance of the line in henry, where given. Both
@@ -111,8 +112,8 @@ impl SupplyParts {
             "0 to 10 ohm",
         )?;
         in_range(
-            "bleeder_ohm",
-            self.bleeder_ohm,
+            "discharge_ohm",
+            self.discharge_ohm,
             1e3,
             f64::INFINITY,
             "1 kohm or more",
