@@ -260,6 +260,22 @@ fn the_mains_must_be_regular_but_may_stumble() {
     assert_eq!(late, [None, None, Some(Fault::MAINS_IRREGULAR)]);
 }
 
+/// docs/bring-up.md, section F, read 0.4 % high (docs/board.md, "Scales"). 25 W at 60 V: the power rises with the voltage's square.
+#[test]
+fn a_bench_supply_that_holds_the_bus_is_no_crossing_out_of_place() {
+    for bus_v in [60u16, 80, 120] {
+        let bus_dv = (10.04 * f64::from(bus_v)) as u16;
+        let gain = f64::from(bus_v) / 325.0;
+        let summary = HalfCycle {
+            power_mw: 7 * u32::from(bus_v).pow(2),
+            bus_peak_dv: bus_dv,
+            bus_at_crossing_dv: bus_dv,
+            ..seen(79.9e3, POT, gain, gain, gain)
+        };
+        assert_eq!(fault_of(summary), None, "{bus_v}");
+    }
+}
+
 /// 10 µF at 325 V and 50 Hz: tan θ = ωRC = 0.42 with R = 134 ohm, which takes 394 W.
 #[test]
 fn with_a_load_too_light_for_the_link_the_bus_at_the_crossing_says_nothing() {
