@@ -77,18 +77,24 @@ impl MainsClock {
     #[inline]
     pub fn count_block(&mut self) {
         self.blocks = self.blocks.wrapping_add(1);
-        self.pass_block();
-    }
-
-    /// Passes the time of a block since boot.
-    #[inline]
-    pub fn pass_block(&mut self) {
         self.now_rest_ns += self.block_ns;
         // Not a division: a block is 37 to 88 µs.
         if self.now_rest_ns >= 1_000_000 {
             self.now_rest_ns -= 1_000_000;
             self.now_ms = self.now_ms.wrapping_add(1);
         }
+    }
+
+    /// Passes the time of lost blocks since boot, a second at most.
+    pub fn pass(&mut self, lost_ns: u32) {
+        self.now_rest_ns += lost_ns;
+        self.now_ms = self.now_ms.wrapping_add(self.now_rest_ns / 1_000_000);
+        self.now_rest_ns %= 1_000_000;
+    }
+
+    /// Passes the time of lost blocks since the last zero crossing.
+    pub fn pass_in_half_cycle(&mut self, lost_ns: u32) {
+        self.since_crossing_ns = self.since_crossing_ns.wrapping_add(lost_ns.into());
     }
 
     /// Returns `true` if the half-cycle has lasted long enough for a zero crossing to be one.

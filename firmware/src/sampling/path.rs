@@ -202,14 +202,11 @@ impl<M: PairArithmetic> SamplingPath<M> {
     #[inline(never)]
     fn lose_blocks(&mut self, lost: u32) {
         // A half-cycle has 267 at most, and the third trips.
-        for _ in 0..lost.min(300) {
-            self.clock.pass_block();
-            self.housekeeping_gap.add(self.clock.block_ns());
-            if !self.replaying {
-                self.clock.advance();
-            }
-        }
+        let lost_ns = lost.min(300) * self.clock.block_ns();
+        self.clock.pass(lost_ns);
+        self.housekeeping_gap.add(lost_ns);
         if !self.replaying {
+            self.clock.pass_in_half_cycle(lost_ns);
             self.protection.lose_blocks(lost);
             self.recorder.interrupt();
         }
