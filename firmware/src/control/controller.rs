@@ -202,6 +202,7 @@ impl Control {
         if let Some(fault) = implausible.filter(|_| status.fault == Fault::NONE) {
             return Action::Fault(fault);
         }
+        self.parts.is_balance_off = self.plausibility.is_balance_off();
         self.parts.power.note(summary, status.now_ms);
         let ControlState::Heating(heating) = &mut self.state else {
             return Action::Keep;

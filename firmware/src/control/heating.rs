@@ -96,7 +96,9 @@ impl Heating {
                     parts.heated_hz = summary.f_sw_hz;
                     self.without_pot = 0;
                     self.unjudged_since_ms = status.now_ms;
-                    self.watch.note(summary, status.now_ms);
+                    if !parts.is_balance_off {
+                        self.watch.note(summary, status.now_ms);
+                    }
                 }
                 // Too little mains to say.
                 Pot::Unknown => return HeatingStep::Act(Action::Keep),

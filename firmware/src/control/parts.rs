@@ -38,6 +38,8 @@ pub struct ControlParts {
     pub pot: Pot,
     /// Frequency at which a pot was heated last, in hertz.
     pub heated_hz: u32,
+    /// The sensors contradict each other: a change of R or L is theirs, or a fault within some half-cycles.
+    pub is_balance_off: bool,
 }
 
 impl Default for ControlParts {
@@ -53,6 +55,7 @@ impl Default for ControlParts {
             power: PowerControl::default(),
             pot: Pot::Unknown,
             heated_hz: pwm::MAX_HZ,
+            is_balance_off: false,
         }
     }
 }

@@ -125,6 +125,11 @@ impl Plausibility {
             .find_map(|(bad, fault)| bad.then_some(fault))
     }
 
+    /// Returns `true` while coil and capacitor contradict the bus, which no load makes them do.
+    pub fn is_balance_off(&self) -> bool {
+        self.balance.0 > 0
+    }
+
     /// Takes a pot probe; the fault that has lasted long enough.
     pub fn on_pot_probe(&mut self, summary: &HalfCycle) -> Option<Fault> {
         let flows = summary.is_comparable() && summary.has_coil_current();
