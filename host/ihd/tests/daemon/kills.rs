@@ -6,12 +6,16 @@ use std::io;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use ihd_link::Client;
 use ihd_link::tcp::TcpTransport;
 use ihd_shared::wire::messages::State;
+use ihd_shared::wire::timing::HOST_UNHEARD_MS;
+use ihd_sim::hob::{HobConfig, SimHob};
+use ihd_sim::server::{HobServer, ServerEvent};
 use ihd_store::{ResultFilter, StoreReader, WindowFilter};
 use serde_json::Value;
 
@@ -276,4 +280,56 @@ fn kills_lose_nothing_that_was_acknowledged() {
         !acknowledged.results.is_empty() && most_lookups > 0,
         "nothing was learned"
     );
+}
+
+/// A hob in this process, of whose time the test is the clock once the daemon is gone.
+#[test]
+fn a_hob_does_not_heat_for_a_dead_daemon() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut server = HobServer::bind("127.0.0.1:0", SimHob::new(&HobConfig::default())).unwrap();
+    let address = configure(folder.path(), "", &[("hob".into(), server.address())]).unwrap();
+    let stop = Arc::new(AtomicBool::new(false));
+    let (ended, is_left) = (Arc::clone(&stop), Arc::clone(&stop));
+    let served = thread::spawn(move || {
+        let watch = |event| {
+            if matches!(event, ServerEvent::Disconnected { .. }) {
+                ended.store(true, Ordering::Relaxed);
+            }
+        };
+        server.run(1.0, &is_left, watch).unwrap();
+        server
+    });
+    let mut daemon = Daemon::start(folder.path(), address).unwrap();
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        // Again and again, as the lease lasts ten seconds and a slow machine needs longer.
+        let heats = daemon.heat("hob", 1_000);
+        let live = daemon.devices().unwrap()[0]["live"].clone();
+        if live["power_w"].as_f64() > Some(800.0) {
+            break;
+        }
+        assert!(Instant::now() < deadline, "{heats:?}, {live}");
+        thread::sleep(Duration::from_millis(500));
+    }
+    daemon.process.kill();
+    // The server ends when it sees that the daemon has left.
+    let mut server = served.join().unwrap();
+    assert!(stop.load(Ordering::Relaxed));
+    let hob = server.hob();
+    assert_eq!(hob.housekeeping().control().asked_w(), 1_000);
+    let left_s = hob.t_s();
+    while hob.housekeeping().control().asked_w() > 0 {
+        assert!(hob.t_s() - left_s < 11.0, "it heats on");
+        hob.step();
+    }
+    // What was heard last came at most a keep-alive's period before the daemon's end.
+    let off_s = hob.t_s() - left_s;
+    let limit_s = f64::from(HOST_UNHEARD_MS) / 1e3;
+    println!("off {off_s:.2} s after the daemon's end");
+    assert!(off_s > 0.5 * limit_s && off_s < 1.01 * limit_s, "{off_s} s");
+    let until_s = hob.t_s() + 0.5;
+    while hob.t_s() < until_s {
+        hob.step();
+    }
+    assert_eq!(hob.housekeeping().control().state(), State::Idle);
 }
