@@ -6,7 +6,7 @@
 use std::f64::consts::TAU;
 
 use ihd_shared::board;
-use ihd_shared::sampling::CODE_HALF_RANGE;
+use ihd_shared::sampling::{CODE_HALF_RANGE, I_FULL_SCALE_A, V_FULL_SCALE_V};
 
 /// Supply of the analogue parts, in volt.
 pub const NOMINAL_SUPPLY_V: f64 = 3.3;
@@ -43,6 +43,10 @@ pub const VOLT_PER_CODE: f64 = COIL_VOLTAGE_FULL_SCALE_V / CODE_HALF_RANGE as f6
 /// Coil current of one code, in ampere.
 pub const AMPERE_PER_CODE: f64 = COIL_CURRENT_FULL_SCALE_A / CODE_HALF_RANGE as f64;
 
+/// Impedance that the firmware reads, over the coil's: the error of its rounded scales, which is in no standard deviation.
+pub const IMPEDANCE_GAIN: f64 =
+    (V_FULL_SCALE_V / COIL_VOLTAGE_FULL_SCALE_V) / (I_FULL_SCALE_A / COIL_CURRENT_FULL_SCALE_A);
+
 /// Anti-alias pole of coil voltage and current, in hertz.
 pub const ANTI_ALIAS_HZ: f64 = pole_hz(board::PIN_OHM as f64, board::FAST_PIN_PF);
 
@@ -67,8 +71,6 @@ const fn pole_hz(ohm: f64, pf: u32) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use ihd_shared::sampling::{I_FULL_SCALE_A, V_FULL_SCALE_V};
-
     use super::*;
 
     /// Arithmetic of docs/board.md, "Scales", by hand, with the errors that it states of the firmware's scales.

@@ -7,9 +7,7 @@ use ihd_shared::board::{self, Pin};
 use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
 use ihd_sim::adc::SimulatedAdc;
 use ihd_sim::comparator::FilteredComparator;
-use ihd_sim::front_end::{
-    AMPERE_PER_CODE, BUS_FULL_SCALE_V, MAINS_FULL_SCALE_V, VOLT_PER_CODE,
-};
+use ihd_sim::front_end::{AMPERE_PER_CODE, BUS_FULL_SCALE_V, MAINS_FULL_SCALE_V, VOLT_PER_CODE};
 use ihd_sim::hob::HobConfig;
 use ihd_sim::injection::{InjectionKind, Injections};
 use ihd_sim::plant::Plant;
@@ -193,7 +191,8 @@ impl Pins {
 
     /// Returns `true` for each comparator whose input has been above the threshold for longer than the filter.
     pub fn comparators_above(&self) -> [bool; 2] {
-        [0, 1].map(|k| self.comparators[k].is_some_and(|one| self.above[k].above_s() > one.filter_s))
+        [0, 1]
+            .map(|k| self.comparators[k].is_some_and(|one| self.above[k].above_s() > one.filter_s))
     }
 
     /// State of the bridge.

@@ -19,7 +19,7 @@ pub const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 /// Someone cooks at the panel, and the mains fails again and again: windows, results, levels that are crossed, faults.
 const COOKING: &str = "duration_s = 4\nload = \"behavioural\"\n\
-    [[event]]\nat_s = 0.1\npanel = 6\n\
+    [[event]]\nat_s = 0.1\npanel = 7\n\
     [[event]]\nat_s = 2.5\nmains = { v_rms = 0.0, for_s = 0.5 }\n";
 
 pub struct Desk {
