@@ -10,7 +10,8 @@
 //! half of its share, from 80 to 34 kHz; that is allowed for. With a mains that sags or swells the reference begins anew.
 //!
 //! By the field model, foil of 12 to 18 cm and lids of 8 to 14 cm in the place of ferritic pots of 15 to 21 cm, cast iron and a sandwich
-//! base, at 1,000 to 2,500 W: 5 % at least, foil of 16 cm for a pot of 21 cm at 2,500 W; else 9 %. Noise of 20 dB: 0.8 % of R from half-cycle to half-cycle.
+//! base, at 1,000 to 2,500 W: 5 % at least, foil of 16 cm for a pot of 21 cm at 2,500 W; else 9 %. Noise of 20 dB, 1.5 % of R
+//! (`noise/snr_20`, behavioural load), costs a probe in some seconds; of 25 dB none.
 
 use crate::control::pot::of_prior;
 use crate::sampling::half_cycle::HalfCycle;
