@@ -5,9 +5,9 @@ use core::panic::PanicInfo;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use ihd_firmware::retained::control::RetainedControl;
-use ihd_firmware::retained::reset::NEXT_BOOTLOADER;
-use ihd_firmware::retained::reset::{CrashRecord, ResetFlags, ResetReason, WORDS};
-
+use ihd_firmware::retained::reset::{
+    CrashRecord, MAX_ENDS, NEXT_BOOTLOADER, ResetFlags, ResetReason, WORDS,
+};
 use ihd_shared::wire::messages::Program;
 
 use super::stm32g474::safe_state::{is_damaged_page, outputs_off, stay, system_fault};
@@ -25,9 +25,6 @@ unsafe extern "C" {
     /// linker's (memory.x), as a variable that no Rust reads is not written either.
     static __next_program: [AtomicU32; 2];
 }
-
-/// Ends in a row after which the program stays stopped: each was reported, and another would be the same.
-const MAX_ENDS: u32 = 4;
 
 fn count_end() -> u32 {
     let [ends, check] = ENDS.each_ref().map(|word| word.load(Ordering::Relaxed));

@@ -124,14 +124,17 @@ pub fn classify(summary: &HalfCycle, before: Pot) -> Pot {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::sampling::half_cycle::CurrentCrest;
     use ihd_shared::units::{MicroOhm, PicoHenry};
 
-    /// R in ohm, L in µH, current in ampere.
-    fn judged((f_sw_hz, r, l, i): (u32, f64, f64, f64), before: Pot) -> Pot {
-        let summary = HalfCycle {
+    /// Frequency in hertz, R in ohm, L in µH and crest current in ampere.
+    pub type Load = (u32, f64, f64, f64);
+
+    /// Half-cycle of a load at 230 V.
+    pub fn half_cycle((f_sw_hz, r, l, i): Load) -> HalfCycle {
+        HalfCycle {
             f_sw_hz,
             crest: CurrentCrest {
                 r: MicroOhm((r * 1e6) as i32),
@@ -141,8 +144,11 @@ mod tests {
             },
             bus_peak_dv: 3_253,
             ..HalfCycle::default()
-        };
-        classify(&summary, before)
+        }
+    }
+
+    fn judged(load: Load, before: Pot) -> Pot {
+        classify(&half_cycle(load), before)
     }
 
     /// R at 45 kHz, of which R ∝ √f follows.

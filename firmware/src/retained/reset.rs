@@ -41,6 +41,12 @@ pub struct ResetFlags {
 /// Words in memory that survives a reset but not the loss of power.
 pub const WORDS: usize = 4;
 
+/// Ends in a row after which the program stays stopped: each was reported, and another would be the same.
+pub const MAX_ENDS: u32 = 4;
+
+/// Blocks after which a start was a good one, and the ends before it no longer count: 1.2 s at 80 kHz, 2.9 s at 34 kHz.
+pub const GOOD_START_BLOCKS: u32 = 32_768;
+
 const MAGIC: u32 = u32::from_le_bytes(*b"last");
 
 /// Left beside the crash record, and its complement behind it, where the chip's bootloader is to run after the reset.

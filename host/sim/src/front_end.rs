@@ -21,6 +21,10 @@ pub const COIL_CHAIN_OHM: f64 =
 /// Resistance of the bus divider, in ohm.
 pub const BUS_CHAIN_OHM: f64 = board::BUS_DIVIDER_OHM as f64 + board::BUS_DIVIDER_BOTTOM_OHM as f64;
 
+/// Resistance of each chain of the mains voltage's divider, in ohm.
+pub const MAINS_CHAIN_OHM: f64 =
+    board::MAINS_DIVIDER_OHM as f64 + board::MAINS_DIVIDER_BOTTOM_OHM as f64;
+
 /// Half the input range of the coil voltage, in volt.
 pub const COIL_VOLTAGE_FULL_SCALE_V: f64 =
     MID_SCALE_V * board::COIL_DIVIDER_OHM as f64 / board::COIL_DIVIDER_BOTTOM_OHM as f64;

@@ -50,9 +50,6 @@ bind_interrupts!(struct Irqs {
 /// faster is in hardware.
 const WATCHDOG_US: u32 = 60_000;
 
-/// So many blocks after the start, 1.2 s at 80 kHz and 2.9 s at 34 kHz, it was a good one.
-const GOOD_START_BLOCKS: u32 = 32_768;
-
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
 static HOUSEKEEPING: StaticCell<Housekeeping> = StaticCell::new();
@@ -363,7 +360,7 @@ impl Board {
             self.watchdog.pet();
         }
         // Where a turn takes longer than a block, not every count is seen here.
-        if blocks >= GOOD_START_BLOCKS {
+        if blocks >= reset::GOOD_START_BLOCKS {
             crash::ran_well();
         }
         // By the count of changes: a version may come again after a reset.

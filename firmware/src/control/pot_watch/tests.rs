@@ -1,11 +1,7 @@
 use super::*;
-use crate::sampling::half_cycle::CurrentCrest;
-use ihd_shared::units::{MicroOhm, PicoHenry};
+use crate::control::pot::tests::{Load, half_cycle};
 
-/// Frequency in hertz, R in ohm, L in µH and crest current in ampere, by the field model at 230 V.
-type Load = (u32, f64, f64, f64);
-
-/// A ferritic pot of 21 cm at 700 to 2,500 W.
+/// A ferritic pot of 21 cm at 700 to 2,500 W, by the field model at 230 V.
 const POT: [Load; 8] = [
     (77_413, 4.602, 20.50, 22.1),
     (69_891, 4.213, 20.54, 25.3),
@@ -16,20 +12,6 @@ const POT: [Load; 8] = [
     (45_223, 2.660, 19.63, 56.1),
     (43_124, 2.491, 19.36, 63.9),
 ];
-
-fn half_cycle((f_sw_hz, r, l, i): Load) -> HalfCycle {
-    HalfCycle {
-        f_sw_hz,
-        crest: CurrentCrest {
-            r: MicroOhm((r * 1e6) as i32),
-            l: PicoHenry((l * 1e6) as i32),
-            i_ma: (i * 1e3) as u32,
-            ..CurrentCrest::default()
-        },
-        bus_peak_dv: 3_253,
-        ..HalfCycle::default()
-    }
-}
 
 /// A watch of half-cycles of 10 ms.
 struct Watched {
@@ -250,7 +232,7 @@ fn half_a_minute_without_a_probe_ends_with_one() {
     assert_eq!(watched.due_after(POT[4], 4_000), Some(3_000));
 }
 
-/// What came while the bridge was open for the probe is another load again.
+/// A load that came while the bridge was open for the probe is another one again.
 #[test]
 fn a_probe_keeps_the_reference() {
     let mut watched = Watched::heating(POT[4]);

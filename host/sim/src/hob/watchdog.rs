@@ -1,15 +1,10 @@
 //! The board's watchdog: it resets a program whose blocks or housekeeping stand still, until that has ended too often.
 
+use ihd_firmware::retained::reset::{GOOD_START_BLOCKS, MAX_ENDS};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 
 /// Time without feeding after which it resets, in seconds.
 const WATCHDOG_S: f64 = 60e-3;
-
-/// Ends in a row after which the program stays stopped, as firmware/src/board/crash.rs counts them.
-const MAX_ENDS: u32 = 4;
-
-/// Blocks after which a start counts as good, and the ends before it no longer.
-const GOOD_START_BLOCKS: u32 = 32_768;
 
 /// Watchdog with its oscillator, and the count of ends that outlives its reset.
 #[derive(Clone, Copy, Debug, Default)]

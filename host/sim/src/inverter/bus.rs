@@ -2,6 +2,7 @@
 
 use super::InverterError;
 use super::supply::SupplyParts;
+use crate::front_end::MAINS_CHAIN_OHM;
 use crate::low_pass::without_decayed;
 use crate::mains::SimulatedMains;
 
@@ -31,7 +32,7 @@ const LINE_STEP_RAD: f64 = 0.1;
 
 /// Resistance that discharges C1 behind an open line, in ohm: its own 2 × 330 kohm beside one chain of the mains' amplifier, whose
 /// current comes back through a lower diode of the rectifier (docs/schematic.py).
-const TERMINAL_OHM: f64 = 1.0 / (1.0 / 660e3 + 1.0 / 932e3);
+const TERMINAL_OHM: f64 = 1.0 / (1.0 / 660e3 + 1.0 / MAINS_CHAIN_OHM);
 
 /// Charging of the DC link, constant over some steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
