@@ -41,11 +41,13 @@ fn case(name: &'static str, settings: &Recording) -> Case {
     }
 }
 
+/// A scope of 10 MS/s.
 fn base(f_sw_hz: f64) -> Recording {
     Recording {
         load: LoadKind::Behavioural,
         f_sw_hz,
         sensing: Sensing {
+            rate: Rate::Hz(10e6),
             allow_aliasing: true,
             ..Sensing::default()
         },
@@ -66,16 +68,15 @@ fn cases(more: bool) -> Vec<Case> {
         s.sensing.bits = bits;
         s.sensing.pole_hz = pole_hz;
     };
+    let fast = |s: &mut Recording| s.sensing.rate = Rate::Hz(50e6);
+    let noisy_field = |s: &mut Recording| {
+        s.load = LoadKind::Field;
+        s.sensing.snr_db = Some(50.0);
+    };
     let mut all = vec![
         case("noiseless 16 bit", &base(45e3)),
         case("30 dB", &with(60e3, |s| s.sensing.snr_db = Some(30.0))),
-        case(
-            "field 50 dB",
-            &with(60e3, |s| {
-                s.load = LoadKind::Field;
-                s.sensing.snr_db = Some(50.0);
-            }),
-        ),
+        case("field 50 dB", &with(60e3, noisy_field)),
         case("61/3 500 kHz", &with(51e3, |s| adc(s, 12, 500e3))),
         case(
             "61/3 30 dB",
@@ -95,6 +96,21 @@ fn cases(more: bool) -> Vec<Case> {
     ];
     if more {
         all.extend([
+            case("noiseless 16 bit 50 MS/s", &with(45e3, fast)),
+            case(
+                "30 dB 50 MS/s",
+                &with(60e3, |s| {
+                    fast(s);
+                    s.sensing.snr_db = Some(30.0);
+                }),
+            ),
+            case(
+                "field 50 dB 50 MS/s",
+                &with(60e3, |s| {
+                    fast(s);
+                    noisy_field(s);
+                }),
+            ),
             case(
                 "noiseless 12 bit 70 kHz",
                 &with(70e3, |s| s.sensing.bits = 12),
@@ -116,7 +132,6 @@ fn cases(more: bool) -> Vec<Case> {
         "step of load",
         &with(47e3, |s| {
             s.sensing.snr_db = Some(50.0);
-            s.sensing.rate = Rate::Hz(10e6);
             s.load = LoadKind::Surrogate;
             s.events = vec![RecordingEvent {
                 t_s: 15e-3,
@@ -125,18 +140,12 @@ fn cases(more: bool) -> Vec<Case> {
         }),
     );
     all.push(step);
-    for (name, offset_hz) in [
-        ("tone .6 kHz", 0.6e3),
-        ("tone 1.2 kHz", 1.2e3),
-        ("tone 3 kHz", 3e3),
-    ] {
-        let mut tone = case(
-            name,
-            &with(45e3, |s| {
-                s.sensing.rate = Rate::Hz(10e6);
-                s.sensing.snr_db = Some(50.0);
-            }),
-        );
+    let mut tones = vec![("tone .6 kHz", 0.6e3), ("tone 3 kHz", 3e3)];
+    if more {
+        tones.push(("tone 1.2 kHz", 1.2e3));
+    }
+    for (name, offset_hz) in tones {
+        let mut tone = case(name, &with(45e3, |s| s.sensing.snr_db = Some(50.0)));
         for k in 0..tone.segment.len() {
             let t = tone.segment.t_s(k);
             tone.segment.v_v[k] +=

@@ -91,7 +91,7 @@ pub fn run_all(seeds: Range<u64>, run_one: impl Fn(u64) -> Course + Sync) {
 
 /// Number of seeds of a normal test run.
 #[cfg(test)]
-const SEEDS: u64 = 20;
+const SEEDS: u64 = 12;
 
 /// Seeds of a normal test run with the firmware as one of the hobs: five seconds of a core.
 #[cfg(test)]
@@ -125,8 +125,7 @@ fn a_strangers_hello_ends_the_lease_and_the_daemon_says_why() {
 
 #[test]
 fn one_seed_gives_one_course() {
-    let scripts = [1, 2].map(|seed| (seed, HobKind::Script));
-    for (seed, left) in scripts.into_iter().chain([(6, HobKind::Board)]) {
+    for (seed, left) in [(1, HobKind::Script), (6, HobKind::Board)] {
         let [first, second] = [(), ()].map(|()| run(seed, left, None).text());
         assert!(first.lines().count() > 20, "something happens");
         let mut lines = first.lines().zip(second.lines());

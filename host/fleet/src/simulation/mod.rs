@@ -29,7 +29,7 @@ use crate::edge::{Edge, State};
 use crate::server::FleetServer;
 
 /// Seeds of the short form.
-const SEEDS: u64 = 6;
+const SEEDS: u64 = 4;
 
 /// Name of the edge, as its daemon is configured.
 const EDGE: &str = "kitchen";
@@ -82,12 +82,9 @@ fn every_window_comes_back_once_whatever_fails() {
 
 #[test]
 fn one_seed_gives_one_course() {
-    for seed in 1..3 {
-        let [first, second] = [(), ()].map(|()| course(seed).text());
-        assert!(first.lines().count() > 20, "something happens");
-        let mut lines = first.lines().zip(second.lines());
-        let differ = lines.find(|(first, second)| first != second);
-        assert_eq!(differ, None, "seed {seed}");
-        assert_eq!(first, second);
-    }
+    let [first, second] = [(), ()].map(|()| course(1).text());
+    assert!(first.lines().count() > 20, "something happens");
+    let mut lines = first.lines().zip(second.lines());
+    assert_eq!(lines.find(|(first, second)| first != second), None);
+    assert_eq!(first, second);
 }

@@ -66,7 +66,7 @@ fn ndarray_and_the_fused_kernel_walk_one_loss_curve() {
     let curve = |backend| {
         let config = PinnConfig {
             backend,
-            max_iterations: 30,
+            max_iterations: 12,
             ..small()
         };
         trained(&config).history

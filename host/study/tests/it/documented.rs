@@ -10,7 +10,7 @@ use ihd_study::cli::Cli;
 use super::documents;
 
 /// Documented calls, and what is run: `…` is the call itself.
-const SHORT: [(&str, &str); 10] = [
+const SHORT: [(&str, &str); 9] = [
     (
         "ihd-study paper --quick",
         "… --seeds 1 --epochs 1 --khz 45 --load behavioural --snr none --out a",
@@ -23,7 +23,6 @@ const SHORT: [(&str, &str); 10] = [
         "ihd-study estimators --seeds 10 --docs docs/accuracy.md",
         "estimators --quick --method least-squares --docs docs/accuracy.md",
     ),
-    ("ihd-study estimators", "… --quick --method lockin"),
     (
         "ihd-study hostile --docs docs/identification.md",
         "… --only inverted --method least-squares --seeds 1",
@@ -47,9 +46,12 @@ const SHORT: [(&str, &str); 10] = [
     ),
 ];
 
-/// Only parsed: with one pot it still teaches another hob twenty, 24 s of processor time.
-const TOO_LONG: &str = "ihd-study pots --pot ferritic-21,ferritic-18,ferritic-12,cast-iron-21,ferritic-18+120C \
-     --perturb sharp-knee --seeds 1 --docs docs/map.md";
+/// Only parsed: another call without its document; and one that with one pot still teaches another hob twenty, 24 s of processor time.
+const ONLY_PARSED: [&str; 2] = [
+    "ihd-study estimators",
+    "ihd-study pots --pot ferritic-21,ferritic-18,ferritic-12,cast-iron-21,ferritic-18+120C \
+     --perturb sharp-knee --seeds 1 --docs docs/map.md",
+];
 
 /// Calls in the documents, as one text each.
 fn calls() -> Vec<(String, String)> {
@@ -67,10 +69,11 @@ fn every_study_can_be_called_as_documented_and_has_a_short_form() {
         if let Err(error) = Cli::command().try_get_matches_from(call.split(' ')) {
             panic!("{place}: {call}\n{error}");
         }
-        let is_known = call == TOO_LONG || SHORT.iter().any(|(documented, _)| documented == call);
+        let is_known = ONLY_PARSED.contains(&&call[..])
+            || SHORT.iter().any(|(documented, _)| documented == call);
         assert!(is_known, "{place}: {call} has no short form");
     }
-    for documented in SHORT.iter().map(|(call, _)| *call).chain([TOO_LONG]) {
+    for documented in SHORT.iter().map(|(call, _)| *call).chain(ONLY_PARSED) {
         let is_there = calls.iter().any(|(_, call)| call == documented);
         assert!(is_there, "no document has {documented}");
     }

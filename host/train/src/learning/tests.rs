@@ -172,7 +172,7 @@ fn follow_a_warming_pot(minutes: f64, at_each_s: f64) -> (f64, f64, u32) {
 
 #[test]
 fn a_warming_pot_is_followed_and_no_lookup_refused() {
-    let (r_pct, l_pct, pushed) = follow_a_warming_pot(0.2, 3.0);
+    let (r_pct, l_pct, pushed) = follow_a_warming_pot(0.1, 2.0);
     assert!(r_pct < 2.0 && l_pct < 2.0, "R {r_pct:.2} %, L {l_pct:.2} %");
     assert!(pushed >= 2);
 }
@@ -191,7 +191,7 @@ fn a_warming_pot_stays_the_same_and_its_map_is_not_late() {
     let mut learning = Learning::new(network());
     kitchen.client.set_power(1_800).unwrap();
     let (mut squares, mut count) = ([0.0f64; 2], 0.0);
-    for k in 0..100 {
+    for k in 0..60 {
         let (window, _) = kitchen.window();
         let outcome = learning.observe(&window, false, &mut |_| ());
         let WindowOutcome::Accepted(accepted) = outcome else {
@@ -199,7 +199,7 @@ fn a_warming_pot_stays_the_same_and_its_map_is_not_late() {
         };
         let another = matches!(accepted.seen, CurveMatch::Another { .. });
         assert!(!another, "window {k}: {:?}", accepted.seen);
-        if k < 50 {
+        if k < 30 {
             continue;
         }
         let truth = kitchen.hob.truth(window.half_cycle).expect("recent");

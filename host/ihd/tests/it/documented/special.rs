@@ -177,6 +177,11 @@ pub const SPECIAL: &[Special] = &[
     },
     // The field model computes fifty times as long as it simulates.
     Special {
+        call: "ihd simulate paper-45 --out a.mcap",
+        more: "--set duration=10ms",
+        ..PLAIN
+    },
+    Special {
         call: "ihd simulate paper-45 --out paper-45.mcap --plot paper-45.svg",
         more: "--set duration=5ms",
         ..PLAIN
@@ -189,6 +194,15 @@ pub const SPECIAL: &[Special] = &[
     Special {
         call: "ihd simulate --approximations",
         end: End::Begins("dR/%"),
+        ..PLAIN
+    },
+    // A scenario of three seconds, which has a test of its own.
+    Special {
+        call: "ihd simulate tests/scenarios/lift/lift.toml",
+        instead: &[(
+            "tests/scenarios/lift/lift.toml",
+            "tests/scenarios/link/small.toml",
+        )],
         ..PLAIN
     },
     // It records until ^C.
