@@ -10,7 +10,6 @@ pub mod atomic;
 pub mod capture;
 pub mod carrier;
 pub mod correlation;
-pub mod fourier;
 pub mod interpolation;
 pub mod load;
 pub mod noise;
@@ -26,6 +25,7 @@ pub mod warp;
 pub mod with_sigma;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
+pub use ihd_fourier as fourier;
 pub use load::Load;
 pub use printable::printable;
 pub use remark::{Remark, Severity};
