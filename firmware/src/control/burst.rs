@@ -99,37 +99,12 @@ impl PowerBursts {
         supply: &mut SupplyShare,
     ) -> BurstStep {
         let given_uj = self.count(summary);
-        let is_period_over = is_reached(now_ms, self.next_ms);
-        if is_period_over {
+        if is_reached(now_ms, self.next_ms) {
             self.next_ms = now_ms.wrapping_add(BURST_PERIOD_MS);
-            // Nothing is saved up beyond a period, or the other zone's turn: a hob that could not give it does not make up for it.
-            let periods = if supply.is_shared() {
-                SHARED_PERIODS
-            } else {
-                2
-            };
-            let period_uj = period_uj(asked_w);
-            let due_uj = self.due_uj + period_uj;
-            self.due_uj = due_uj.min(periods * period_uj).max(-most_debt_uj());
-            self.short = due_uj > self.due_uj || (self.short && self.due_uj > 0);
-            self.waits |= self.due_uj > 0;
+            self.begin_period(asked_w, supply.is_shared());
         }
         if !self.on {
-            if !self.waits || !may_start || !supply.claim() {
-                self.half_cycles = 0;
-                return BurstStep::Keep;
-            }
-            // A link that the other zone discharges would let the bridge begin before that one ends.
-            let is_early = supply.is_shared()
-                && summary.bus_at_crossing_dv < BUS_AT_START_DV
-                && self.half_cycles < HANDOVER_HALF_CYCLES - 2;
-            if is_early {
-                self.half_cycles += 1;
-                return BurstStep::Keep;
-            }
-            (self.on, self.waits, self.released_at) = (true, false, None);
-            (self.ending, self.is_cut, self.half_cycles) = (false, false, 0);
-            return BurstStep::On;
+            return self.begin(summary, may_start, supply);
         }
         if self.ending {
             // Without regard to its last half-cycle: a mains that was away may have opened the bridge before.
@@ -140,7 +115,57 @@ impl PowerBursts {
             return BurstStep::Keep;
         }
         self.half_cycles += 1;
-        let is_last = match self.released_at {
+        let is_last = self.is_last(given_uj, supply);
+        // With the half-cycle that runs now the burst has whole cycles.
+        if self.half_cycles.is_multiple_of(2) || !is_last {
+            return BurstStep::Keep;
+        }
+        supply.release();
+        self.ending = true;
+        // It was ended early.
+        let most_uj = if self.is_cut { 2 } else { HANDOVER_HALF_CYCLES };
+        self.waits |= self.due_uj > i64::from(most_uj) * given_uj;
+        BurstStep::OffAtCrossing
+    }
+
+    /// Adds the energy of a period. Nothing is saved up beyond a period, or the other zone's turn: a hob that could not give it does
+    /// not make up for it.
+    fn begin_period(&mut self, asked_w: u16, is_shared: bool) {
+        let periods = if is_shared { SHARED_PERIODS } else { 2 };
+        let period_uj = period_uj(asked_w);
+        let due_uj = self.due_uj + period_uj;
+        self.due_uj = due_uj.min(periods * period_uj).max(-most_debt_uj());
+        self.short = due_uj > self.due_uj || (self.short && self.due_uj > 0);
+        self.waits |= self.due_uj > 0;
+    }
+
+    /// Begins a burst that waits, if it may and the supply is free.
+    fn begin(
+        &mut self,
+        summary: &HalfCycle,
+        may_start: bool,
+        supply: &mut SupplyShare,
+    ) -> BurstStep {
+        if !self.waits || !may_start || !supply.claim() {
+            self.half_cycles = 0;
+            return BurstStep::Keep;
+        }
+        // A link that the other zone discharges would let the bridge begin before that one ends.
+        let is_early = supply.is_shared()
+            && summary.bus_at_crossing_dv < BUS_AT_START_DV
+            && self.half_cycles < HANDOVER_HALF_CYCLES - 2;
+        if is_early {
+            self.half_cycles += 1;
+            return BurstStep::Keep;
+        }
+        (self.on, self.waits, self.released_at) = (true, false, None);
+        (self.ending, self.is_cut, self.half_cycles) = (false, false, 0);
+        BurstStep::On
+    }
+
+    /// Returns `true` if the burst has no further whole cycle; releases a shared supply before.
+    fn is_last(&mut self, given_uj: i64, supply: &mut SupplyShare) -> bool {
+        match self.released_at {
             Some(at) => self.half_cycles >= u32::from(at) + HANDOVER_HALF_CYCLES - 1,
             // The other zone has taken it.
             None if !supply.holds() => true,
@@ -155,17 +180,7 @@ impl PowerBursts {
             }
             // Half of the next whole cycle would already be too much.
             None => self.is_cut || self.due_uj - given_uj < given_uj,
-        };
-        // With the half-cycle that runs now the burst has whole cycles.
-        if self.half_cycles % 2 == 1 && is_last {
-            supply.release();
-            self.ending = true;
-            // It was ended early.
-            let most_uj = if self.is_cut { 2 } else { HANDOVER_HALF_CYCLES };
-            self.waits |= self.due_uj > i64::from(most_uj) * given_uj;
-            return BurstStep::OffAtCrossing;
         }
-        BurstStep::Keep
     }
 }
 

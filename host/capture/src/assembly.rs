@@ -122,32 +122,13 @@ pub fn assembled(
         None => files[0].source.facts().map_err(|e| e.in_file(&path))?,
         Some(_) => FileFacts::default(),
     };
-    let mut read = |file: &mut OpenFile, selected: &[usize]| {
-        let samples = file.source.read(selected, progress);
-        samples.map_err(|e| e.in_file(&file.path))
-    };
-    let apart = chosen.map(|c| c.index >= of_first);
-    let (mut columns, time) = if apart[0] == apart[1] {
-        let k = usize::from(apart[0]);
-        let selected = chosen.map(|c| c.index - k * of_first);
-        let samples = read(&mut files[k], &selected)?;
-        (samples.columns, samples.time)
-    } else {
-        let mut both = Vec::new();
-        for (c, second) in chosen.iter().zip(apart) {
-            let k = usize::from(second);
-            both.push(read(&mut files[k], &[c.index - k * of_first])?);
-        }
-        metadata.insert(
-            "paired_with".to_owned(),
-            files[1].path.display().to_string(),
-        );
-        paired_columns(both, options).map_err(|what| CaptureError::Pair {
-            first: files[0].path.clone(),
-            second: files[1].path.clone(),
-            what,
-        })?
-    };
+    let [v, i] = chosen.map(|c| c.index >= of_first);
+    if v != i {
+        let second = files[1].path.display().to_string();
+        metadata.insert("paired_with".to_owned(), second);
+    }
+    let places = chosen.map(|c| c.index);
+    let (mut columns, time) = read_columns(&mut files, places, options, progress)?;
     let no_time = "the file states no time: give the sampling rate, as in --input rate=50M";
     let time = options
         .stated_time(0.0)
@@ -174,6 +155,34 @@ pub fn assembled(
 }
 
 type Columns = (Vec<Vec<f32>>, Option<TimeBase>);
+
+/// Reads two channels, by their places among those of all files.
+fn read_columns(
+    files: &mut [OpenFile],
+    places: [usize; 2],
+    options: &OpenOptions,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Columns, CaptureError> {
+    let of_first = files[0].source.channels().len();
+    let mut read = |file: &mut OpenFile, selected: &[usize]| {
+        let samples = file.source.read(selected, progress);
+        samples.map_err(|e| e.in_file(&file.path))
+    };
+    let [v, i] = places.map(|k| usize::from(k >= of_first));
+    if v == i {
+        let samples = read(&mut files[v], &places.map(|k| k - v * of_first))?;
+        return Ok((samples.columns, samples.time));
+    }
+    let both = vec![
+        read(&mut files[v], &[places[0] - v * of_first])?,
+        read(&mut files[i], &[places[1] - i * of_first])?,
+    ];
+    paired_columns(both, options).map_err(|what| CaptureError::Pair {
+        first: files[0].path.clone(),
+        second: files[1].path.clone(),
+        what,
+    })
+}
 
 /// Cuts voltage and current from two files to their common times. With a stated rate the files' times are ignored.
 fn paired_columns(both: Vec<FileSamples>, options: &OpenOptions) -> Result<Columns, String> {

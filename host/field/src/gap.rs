@@ -80,58 +80,93 @@ fn shapes(network: &Network<'_>, contour: &Contour<'_>, rings: usize) -> DMatrix
     shape
 }
 
-/// Eliminates the free nodes.
-fn condense(network: &Network<'_>, contour: &Contour<'_>) -> Result<GapOperator, FieldError> {
-    let w_m2 = contour.areas_m2();
-    let rings = w_m2.len();
-    let columns = rings + 1;
-    let shape = shapes(network, contour, rings);
-    // Right-hand sides: coil turns, then −K_fs T for each ring. And T' K_ss T.
-    let mut matrix = CooMatrix::new(network.free, network.free);
-    let mut rhs = DMatrix::<f64>::zeros(network.free, columns);
-    let mut s = DMatrix::<f64>::zeros(rings, rings);
-    for (a, b, k) in network.edges() {
-        for (x, y) in [(a, b), (b, a)] {
-            match (network.nodes[x], network.nodes[y]) {
-                (Node::Free(f), other) => {
-                    matrix.push(f, f, k);
-                    match other {
-                        Node::Free(g) => matrix.push(f, g, -k),
-                        Node::Surface(g) => {
-                            for ring in 0..rings {
-                                rhs[(f, 1 + ring)] += k * shape[(g, ring)];
-                            }
-                        }
-                        Node::Zero => {}
-                    }
+/// Equations of the free nodes, and the energy between surface nodes, in terms of the rings.
+struct NodeEquations {
+    /// K_ff.
+    matrix: CooMatrix<f64>,
+    /// Right-hand sides: coil turns, then −K_fs T for each ring.
+    rhs: DMatrix<f64>,
+    /// T' K_ss T.
+    surface: DMatrix<f64>,
+}
+
+impl NodeEquations {
+    fn new(network: &Network<'_>, shape: &DMatrix<f64>) -> Self {
+        let rings = shape.ncols();
+        let mut equations = Self {
+            matrix: CooMatrix::new(network.free, network.free),
+            rhs: DMatrix::zeros(network.free, rings + 1),
+            surface: DMatrix::zeros(rings, rings),
+        };
+        for (a, b, k) in network.edges() {
+            for (x, y) in [(a, b), (b, a)] {
+                match (network.nodes[x], network.nodes[y]) {
+                    (Node::Free(f), other) => equations.add_free(f, other, k, shape),
+                    (Node::Surface(f), other) => equations.add_surface(f, other, k, shape),
+                    (Node::Zero, _) => {}
                 }
-                (Node::Surface(f), other) => {
-                    for m in 0..rings {
-                        for n in 0..rings {
-                            s[(m, n)] += k * shape[(f, m)] * shape[(f, n)];
-                            if let Node::Surface(g) = other {
-                                s[(m, n)] -= k * shape[(f, m)] * shape[(g, n)];
-                            }
-                        }
-                    }
+            }
+        }
+        let nz = network.grid.z_m.len();
+        for (index, node) in network.nodes.iter().enumerate() {
+            if let Node::Free(f) = *node {
+                equations.rhs[(f, 0)] = network.turns(index / nz, index % nz);
+            }
+        }
+        equations
+    }
+
+    /// Adds an edge of coefficient `k` from the free node `f`.
+    fn add_free(&mut self, f: usize, other: Node, k: f64, shape: &DMatrix<f64>) {
+        self.matrix.push(f, f, k);
+        match other {
+            Node::Free(g) => self.matrix.push(f, g, -k),
+            Node::Surface(g) => {
+                for ring in 0..shape.ncols() {
+                    self.rhs[(f, 1 + ring)] += k * shape[(g, ring)];
                 }
-                (Node::Zero, _) => {}
+            }
+            Node::Zero => {}
+        }
+    }
+
+    /// Adds an edge of coefficient `k` from the surface node `f`.
+    fn add_surface(&mut self, f: usize, other: Node, k: f64, shape: &DMatrix<f64>) {
+        let rings = shape.ncols();
+        for m in 0..rings {
+            for n in 0..rings {
+                self.surface[(m, n)] += k * shape[(f, m)] * shape[(f, n)];
+                if let Node::Surface(g) = other {
+                    self.surface[(m, n)] -= k * shape[(f, m)] * shape[(g, n)];
+                }
             }
         }
     }
-    let nz = network.grid.z_m.len();
-    for (index, node) in network.nodes.iter().enumerate() {
-        if let Node::Free(f) = *node {
-            rhs[(f, 0)] = network.turns(index / nz, index % nz);
-        }
-    }
+}
+
+/// Eliminates the free nodes.
+fn condense(network: &Network<'_>, contour: &Contour<'_>) -> Result<GapOperator, FieldError> {
+    let w_m2 = contour.areas_m2();
+    let shape = shapes(network, contour, w_m2.len());
+    let NodeEquations {
+        matrix,
+        rhs,
+        surface,
+    } = NodeEquations::new(network, &shape);
     let cholesky =
         CscCholesky::factor(&CscMatrix::from(&matrix)).map_err(|_| FieldError::Singular {
             nodes: network.free,
         })?;
     let psi = cholesky.solve(&rhs);
     let shield = shield(network, &psi);
-    Ok(operator(network.geometry, w_m2, &rhs, &psi, &s, shield))
+    Ok(operator(
+        network.geometry,
+        w_m2,
+        &rhs,
+        &psi,
+        &surface,
+        shield,
+    ))
 }
 
 /// ∫ h_m h_n over the shield of the solutions `psi`.

@@ -71,44 +71,58 @@ const START: [&str; 4] = ["t0", "tstart", "start", "xzero"];
 /// Names of the sampling rate.
 const RATE: [&str; 5] = ["fs", "f_s", "samplerate", "sample_rate", "rate"];
 
+/// Name without its unit, and the unit.
+fn heading(array: &Array) -> (String, Option<Unit>) {
+    Unit::of_heading(&array.name)
+}
+
+/// Indices of the time vector, if there is one, and of the vectors that are as long.
+///
+/// # Errors
+/// [`FormatError`] when there are no two channels.
+fn vectors(arrays: &[Array]) -> Result<(Option<usize>, Vec<usize>), FormatError> {
+    let is_time = |a: &Array| {
+        let (name, unit) = heading(a);
+        let named = TIME.contains(&name.to_lowercase().as_str());
+        a.length > 1 && named && unit.is_none_or(|u| u.quantity == ColumnQuantity::Time)
+    };
+    let time = arrays.iter().position(is_time);
+    let is_truth = |a: &Array| a.name.starts_with(TRUTH);
+    let longest = arrays
+        .iter()
+        .filter(|a| !is_truth(a))
+        .map(|a| a.length)
+        .max();
+    let length = time.map_or(longest.unwrap_or(0), |k| arrays[k].length);
+    let others = || (0..arrays.len()).filter(|k| Some(*k) != time && !is_truth(&arrays[*k]));
+    let columns: Vec<usize> = others().filter(|k| arrays[*k].length == length).collect();
+    let is_passed_over = |k: usize| {
+        let a = &arrays[k];
+        a.length != length && a.scalar.is_none() && a.text.is_none()
+    };
+    let few = columns.is_empty() || (columns.len() == 1 && others().any(is_passed_over));
+    if length >= 2 && !few {
+        return Ok((time, columns));
+    }
+    let described = |a: &Array| match a.length {
+        0 | 1 => format!("`{}` is none", a.name),
+        n => format!("`{}` has {n}", a.name),
+    };
+    let list: Vec<_> = arrays.iter().take(12).map(described).collect();
+    let what = format!(
+        "no two channels: save each as a vector of real numbers, of one length, 32 or 64 bit or integers; {}",
+        list.join(", ")
+    );
+    Err(FormatError::at_byte(0, what))
+}
+
 impl<A: Arrays> ArraySource<A> {
     /// Finds clock and channels among `arrays`.
     ///
     /// # Errors
     /// [`FormatError`] when there is no vector.
     pub fn new(reader: A, arrays: Vec<Array>, format: &str) -> Result<Self, FormatError> {
-        let heading = |a: &Array| Unit::of_heading(&a.name);
-        let is_time = |a: &Array| {
-            let (name, unit) = heading(a);
-            let named = TIME.contains(&name.to_lowercase().as_str());
-            a.length > 1 && named && unit.is_none_or(|u| u.quantity == ColumnQuantity::Time)
-        };
-        let time = arrays.iter().position(is_time);
-        let longest = arrays.iter().filter(|a| !a.name.starts_with(TRUTH));
-        let longest = longest.map(|a| a.length).max().unwrap_or(0);
-        let length = time.map_or(longest, |k| arrays[k].length);
-        let is_channel = |k: &usize| {
-            Some(*k) != time && arrays[*k].length == length && !arrays[*k].name.starts_with(TRUTH)
-        };
-        let columns: Vec<usize> = (0..arrays.len()).filter(is_channel).collect();
-        let is_passed_over = |k: &usize| {
-            let a = &arrays[*k];
-            let is_scalar = a.scalar.is_some() || a.text.is_some();
-            Some(*k) != time && a.length != length && !is_scalar && !a.name.starts_with(TRUTH)
-        };
-        let passed_over: Vec<usize> = (0..arrays.len()).filter(is_passed_over).collect();
-        if length < 2 || columns.is_empty() || (columns.len() == 1 && !passed_over.is_empty()) {
-            let described = |a: &Array| match a.length {
-                0 | 1 => format!("`{}` is none", a.name),
-                n => format!("`{}` has {n}", a.name),
-            };
-            let list: Vec<_> = arrays.iter().take(12).map(described).collect();
-            let what = format!(
-                "no two channels: save each as a vector of real numbers, of one length, 32 or 64 bit or integers; {}",
-                list.join(", ")
-            );
-            return Err(FormatError::at_byte(0, what));
-        }
+        let (time, columns) = vectors(&arrays)?;
         let clock = match time {
             Some(index) => Clock::Array {
                 index,

@@ -56,6 +56,46 @@ impl Header {
         }
     }
 
+    /// Storage of the samples.
+    fn storage(&self) -> Result<(SampleType, Endian), FormatError> {
+        let wrong = |what: String| Err(FormatError::at_byte(0, what));
+        let kind = match (self.get("BN_F"), self.number("BYT_N")? as u32) {
+            (Some("FP"), 4) => SampleType::F32,
+            (Some("RP"), 1) => SampleType::U8,
+            (Some("RP"), 2) => SampleType::U16,
+            (Some("RI") | None, 1) => SampleType::I8,
+            (Some("RI") | None, 2) => SampleType::I16,
+            (format, bytes) => {
+                let format = format.unwrap_or("?");
+                return wrong(format!("{bytes} bytes of BN_FMT {format} are not known"));
+            }
+        };
+        match self.get("BYT_O").map(str::to_uppercase).as_deref() {
+            Some("LSB") => Ok((kind, Endian::Little)),
+            Some("MSB") | None => Ok((kind, Endian::Big)),
+            Some(other) => wrong(format!("byte order BYT_OR `{other}`")),
+        }
+    }
+
+    /// Times of the samples.
+    fn time(&self) -> Result<TimeBase, FormatError> {
+        let (dt, first, point) = (
+            self.number("XIN")?,
+            self.number("XZE")?,
+            self.number("PT_O")?,
+        );
+        if dt <= 0.0 {
+            let what = format!("XINCR {dt:e}: a sampling interval is positive");
+            return Err(FormatError::at_byte(0, what));
+        }
+        let unit = self.get("XUN").and_then(Unit::parse);
+        let unit = unit.unwrap_or(Unit::SECOND);
+        Ok(TimeBase::Even {
+            t0_s: (first - dt * point) * unit.scale,
+            dt_s: dt * unit.scale,
+        })
+    }
+
     /// Value of the key that begins with `short`, its shortest form.
     fn get(&self, short: &str) -> Option<&str> {
         let pair = self.pairs.iter().find(|(key, _)| key.starts_with(short));
@@ -111,22 +151,7 @@ impl IsfSource {
 
     fn from_header(input: Input, header: &Header, length: u64) -> Result<Self, FormatError> {
         let wrong = |what: String| Err(FormatError::at_byte(0, what));
-        let kind = match (header.get("BN_F"), header.number("BYT_N")? as u32) {
-            (Some("FP"), 4) => SampleType::F32,
-            (Some("RP"), 1) => SampleType::U8,
-            (Some("RP"), 2) => SampleType::U16,
-            (Some("RI") | None, 1) => SampleType::I8,
-            (Some("RI") | None, 2) => SampleType::I16,
-            (format, bytes) => {
-                let format = format.unwrap_or("?");
-                return wrong(format!("{bytes} bytes of BN_FMT {format} are not known"));
-            }
-        };
-        let endian = match header.get("BYT_O").map(str::to_uppercase).as_deref() {
-            Some("LSB") => Endian::Little,
-            Some("MSB") | None => Endian::Big,
-            Some(other) => return wrong(format!("byte order BYT_OR `{other}`")),
-        };
+        let (kind, endian) = header.storage()?;
         if header
             .get("PT_F")
             .is_some_and(|f| !f.eq_ignore_ascii_case("Y"))
@@ -140,24 +165,8 @@ impl IsfSource {
             ));
         }
         input.need(length)?;
-        let (scale, zero, code) = (
-            header.number("YMU")?,
-            header.number("YZE")?,
-            header.number("YOF")?,
-        );
-        let (dt, first, point) = (
-            header.number("XIN")?,
-            header.number("XZE")?,
-            header.number("PT_O")?,
-        );
-        if dt <= 0.0 {
-            return wrong(format!("XINCR {dt:e}: a sampling interval is positive"));
-        }
-        let unit = header
-            .get("XUN")
-            .and_then(Unit::parse)
-            .unwrap_or(Unit::SECOND);
-        let offset = zero - scale * code;
+        let scale = header.number("YMU")?;
+        let offset = header.number("YZE")? - scale * header.number("YOF")?;
         let value = |code: f64| (scale * code + offset).abs();
         let full_scale = kind.range().map(|(low, high)| value(low).max(value(high)));
         let name = header.get("WFI").unwrap_or_default();
@@ -171,10 +180,7 @@ impl IsfSource {
             samples: samples as u64,
             scale,
             offset,
-            time: TimeBase::Even {
-                t0_s: (first - dt * point) * unit.scale,
-                dt_s: dt * unit.scale,
-            },
+            time: header.time()?,
             channel: FileChannel {
                 // `Ch1, DC coupling, 2.000V/div, …`
                 name: name.split(',').next().unwrap_or_default().trim().to_owned(),

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 use zip::ZipArchive;
+use zip::read::ZipFile;
 
 use super::arrays::{Array, ArraySource, Arrays, plausible};
 use super::input::{Endian, ReadSeek, SampleType, decode_from};
@@ -97,52 +98,58 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<NpzSource, FormatError> {
         let Some(name) = name.strip_suffix(ENDING).map(str::to_owned) else {
             continue;
         };
-        let offset = member.data_start().unwrap_or(0);
-        let (packed, unpacked) = (member.compressed_size(), member.size());
-        let wrong = |what: String| FormatError::at_byte(offset, format!("array `{name}`: {what}"));
-        let header = Header::read(&mut member).map_err(wrong)?;
-        if header.is_text {
-            continue;
-        }
-        let Some((kind, endian)) = header.kind else {
-            drop(member);
-            arrays.push(Array {
-                length: 0,
-                name,
-                offset,
-                scalar: None,
-                text: None,
-            });
+        if let Some(array) = array(name, &mut member)? {
+            arrays.push(array);
             members.push(index);
-            continue;
-        };
-        let bytes = header.count.checked_mul(kind.bytes() as u64);
-        let whole = bytes.and_then(|bytes| bytes.checked_add(header.bytes));
-        if whole != Some(unpacked) || !plausible(packed, unpacked) {
-            let what = format!(
-                "{} numbers declared, {packed} bytes packed, {unpacked} unpacked",
-                header.count
-            );
-            return Err(wrong(what));
         }
-        let mut scalar = None;
-        if header.count == 1 {
-            let bytes = kind.bytes() as u64;
-            decode_from(&mut member, bytes, kind, endian, &mut |x| scalar = Some(x))
-                .map_err(|e| wrong(e.to_string()))?;
-        }
-        drop(member);
-        arrays.push(Array {
-            length: if header.vector { header.count } else { 0 },
-            name,
-            offset,
-            scalar,
-            text: None,
-        });
-        members.push(index);
     }
     let arrays = ArraySource::new(NpzArrays { archive, members }, arrays, "NumPy NPZ")?;
     Ok(NpzSource { arrays, notes })
+}
+
+/// Describes an array of an archive; `None` if it is text.
+fn array(
+    name: String,
+    member: &mut ZipFile<'_, Box<dyn ReadSeek>>,
+) -> Result<Option<Array>, FormatError> {
+    let offset = member.data_start().unwrap_or(0);
+    let (packed, unpacked) = (member.compressed_size(), member.size());
+    let wrong = |what: String| FormatError::at_byte(offset, format!("array `{name}`: {what}"));
+    let header = Header::read(member).map_err(wrong)?;
+    if header.is_text {
+        return Ok(None);
+    }
+    let Some((kind, endian)) = header.kind else {
+        return Ok(Some(Array {
+            length: 0,
+            name,
+            offset,
+            scalar: None,
+            text: None,
+        }));
+    };
+    let bytes = header.count.checked_mul(kind.bytes() as u64);
+    let whole = bytes.and_then(|bytes| bytes.checked_add(header.bytes));
+    if whole != Some(unpacked) || !plausible(packed, unpacked) {
+        let what = format!(
+            "{} numbers declared, {packed} bytes packed, {unpacked} unpacked",
+            header.count
+        );
+        return Err(wrong(what));
+    }
+    let mut scalar = None;
+    if header.count == 1 {
+        let bytes = kind.bytes() as u64;
+        decode_from(member, bytes, kind, endian, &mut |x| scalar = Some(x))
+            .map_err(|e| wrong(e.to_string()))?;
+    }
+    Ok(Some(Array {
+        length: if header.vector { header.count } else { 0 },
+        name,
+        offset,
+        scalar,
+        text: None,
+    }))
 }
 
 fn in_archive(offset: u64, what: &str, e: &zip::result::ZipError) -> FormatError {

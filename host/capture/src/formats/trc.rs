@@ -5,6 +5,7 @@
 //! time = HORIZ_OFFSET + k · HORIZ_INTERVAL. The gain holds the probe's ratio already.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use ihd_signal::TimeBase;
 
@@ -151,76 +152,97 @@ impl Layout {
             let what = format!("template `{template}`: LECROY_2_x is read");
             return Err(FormatError::at_byte(d.begin + field::TEMPLATE, what));
         }
-        let kind = match d.number(field::COMM_TYPE, SampleType::U16)? as u16 {
-            0 => SampleType::I8,
-            1 => SampleType::I16,
-            other => return Err(d.input.wrong(format!("COMM_TYPE {other}"))),
-        };
+        let kind = d.kind()?;
         let record = d.number(field::RECORD_TYPE, SampleType::U16)?;
         if record != 0.0 || d.count(field::SUBARRAY_COUNT)? > 1 {
             let what = "a sequence or another record than a single sweep: export one segment";
             return Err(FormatError::at_byte(d.begin + field::RECORD_TYPE, what));
         }
-        let before = [
+        let (at, valid) = d.samples(kind)?;
+        let gain = d.number(field::VERTICAL_GAIN, SampleType::F32)?;
+        let offset = -d.number(field::VERTICAL_OFFSET, SampleType::F32)?;
+        let probe = d.number(field::PROBE_ATT, SampleType::F32)?;
+        let metadata = [
+            ("format", format!("TRC, {template}")),
+            ("probe_attenuation", probe.to_string()),
+            ("instrument", d.text(field::INSTRUMENT_NAME, 16)?),
+        ];
+        Ok(Self {
+            kind,
+            at,
+            samples: valid.end() - valid.start() + 1,
+            gain,
+            offset,
+            time: d.time(*valid.start())?,
+            channel: d.channel(gain, offset)?,
+            metadata: metadata.map(|(key, value)| (key.to_owned(), value)).into(),
+        })
+    }
+}
+
+impl Descriptor<'_> {
+    /// Storage type of the samples.
+    fn kind(&mut self) -> Result<SampleType, FormatError> {
+        match self.number(field::COMM_TYPE, SampleType::U16)? as u16 {
+            0 => Ok(SampleType::I8),
+            1 => Ok(SampleType::I16),
+            other => Err(self.input.wrong(format!("COMM_TYPE {other}"))),
+        }
+    }
+
+    /// Place of the first valid sample in the file, in bytes, and the valid samples.
+    fn samples(&mut self, kind: SampleType) -> Result<(u64, RangeInclusive<u64>), FormatError> {
+        let mut at = self.begin;
+        for length in [
             field::WAVE_DESCRIPTOR,
             field::USER_TEXT,
             field::TRIGTIME_ARRAY,
             field::RIS_TIME_ARRAY,
-        ];
-        let mut at = d.begin;
-        for length in before {
-            at += d.count(length)?;
+        ] {
+            at += self.count(length)?;
         }
-        let stored = d.count(field::WAVE_ARRAY_1)? / kind.bytes() as u64;
-        let first = d.count(field::FIRST_VALID_POINT)?;
-        let last = d.count(field::LAST_VALID_POINT)?;
+        let bytes = kind.bytes() as u64;
+        let stored = self.count(field::WAVE_ARRAY_1)? / bytes;
+        let first = self.count(field::FIRST_VALID_POINT)?;
+        let last = self.count(field::LAST_VALID_POINT)?;
         if last < first || last >= stored {
             let what = format!("valid points {first} to {last} of {stored}");
-            return Err(FormatError::at_byte(
-                d.begin + field::FIRST_VALID_POINT,
-                what,
-            ));
+            let at = self.begin + field::FIRST_VALID_POINT;
+            return Err(FormatError::at_byte(at, what));
         }
-        let dt_s = d.number(field::HORIZ_INTERVAL, SampleType::F32)?;
-        let begin_s = d.number(field::HORIZ_OFFSET, SampleType::F64)?;
+        Ok((at + first * bytes, first..=last))
+    }
+
+    /// Times of the samples from sample `first` on.
+    fn time(&mut self, first: u64) -> Result<TimeBase, FormatError> {
+        let dt_s = self.number(field::HORIZ_INTERVAL, SampleType::F32)?;
+        let begin_s = self.number(field::HORIZ_OFFSET, SampleType::F64)?;
         if dt_s <= 0.0 {
             let what = format!("a sampling interval of {dt_s:e} s");
-            return Err(FormatError::at_byte(d.begin + field::HORIZ_INTERVAL, what));
+            let at = self.begin + field::HORIZ_INTERVAL;
+            return Err(FormatError::at_byte(at, what));
         }
-        let scale = Unit::parse(&d.text(field::HOR_UNIT, 48)?).map_or(1.0, |u| u.scale);
-        let gain = d.number(field::VERTICAL_GAIN, SampleType::F32)?;
-        let offset = -d.number(field::VERTICAL_OFFSET, SampleType::F32)?;
-        let codes = [field::MAX_VALUE, field::MIN_VALUE].map(|f| d.number(f, SampleType::F32));
-        let [high, low] = codes;
+        let scale = Unit::parse(&self.text(field::HOR_UNIT, 48)?).map_or(1.0, |u| u.scale);
+        Ok(TimeBase::Even {
+            t0_s: (begin_s + first as f64 * dt_s) * scale,
+            dt_s: dt_s * scale,
+        })
+    }
+
+    /// Name, unit and range of the channel, of which a code is `gain` · code + `offset`.
+    fn channel(&mut self, gain: f64, offset: f64) -> Result<FileChannel, FormatError> {
         let magnitude = |code: f64| (gain * code + offset).abs();
-        let full_scale = magnitude(high?).max(magnitude(low?));
-        let mut metadata = BTreeMap::from([("format".to_owned(), format!("TRC, {template}"))]);
-        let probe = d.number(field::PROBE_ATT, SampleType::F32)?;
-        metadata.insert("probe_attenuation".to_owned(), probe.to_string());
-        metadata.insert("instrument".to_owned(), d.text(field::INSTRUMENT_NAME, 16)?);
-        let label = d.text(field::TRACE_LABEL, 16)?;
-        let source = d.number(field::WAVE_SOURCE, SampleType::U16)? as u32;
-        let channel = FileChannel {
-            name: if label.is_empty() {
-                format!("C{}", source + 1)
-            } else {
-                label
+        let high = magnitude(self.number(field::MAX_VALUE, SampleType::F32)?);
+        let low = magnitude(self.number(field::MIN_VALUE, SampleType::F32)?);
+        let label = self.text(field::TRACE_LABEL, 16)?;
+        let source = self.number(field::WAVE_SOURCE, SampleType::U16)? as u32;
+        Ok(FileChannel {
+            name: match label.is_empty() {
+                true => format!("C{}", source + 1),
+                false => label,
             },
-            unit: Unit::parse(&d.text(field::VERT_UNIT, 48)?),
-            full_scale: Some(full_scale).filter(|x| *x > 0.0),
-        };
-        Ok(Self {
-            kind,
-            at: at + first * kind.bytes() as u64,
-            samples: last - first + 1,
-            gain,
-            offset,
-            time: TimeBase::Even {
-                t0_s: (begin_s + first as f64 * dt_s) * scale,
-                dt_s: dt_s * scale,
-            },
-            channel,
-            metadata,
+            unit: Unit::parse(&self.text(field::VERT_UNIT, 48)?),
+            full_scale: Some(high.max(low)).filter(|x| *x > 0.0),
         })
     }
 }

@@ -103,6 +103,56 @@ impl WfmSource {
     }
 
     fn header(mut input: Input, endian: Endian, version: u8) -> Result<Self, FormatError> {
+        let file = FileInformation::read(&mut input, endian, version)?;
+        let view_bytes = if version == 3 { 60 } else { 56 };
+        let vertical = vertical(&mut input, endian)?;
+        input.skip(view_bytes + EXPLICIT_BYTES + view_bytes)?;
+        let horizontal = Horizontal::read(&mut input, endian)?;
+        input.skip(36 + view_bytes + IMPLICIT_BYTES + view_bytes + 2 * TIME_BASE_BYTES + 4)?;
+        let (t0_s, dt_s) = horizontal.times(&mut input, endian)?;
+        // Fraction and seconds of the trigger; state, type and value of the checksum; precharge.
+        input.skip(12 + 10 + 4)?;
+        let ends = Ends::read(&mut input, endian)?;
+        let kind = kind(vertical.format, version, file.point_bytes)
+            .map_err(|what| FormatError::at_byte(ends.at, what))?;
+        let samples = ends.samples(kind, horizontal.declared)?;
+        input.seek(file.curve_at)?;
+        input.need(ends.buffer)?;
+        input.seek(file.curve_at + ends.buffer)?;
+        let mut metadata = metadata(&mut input, endian)?;
+        metadata.insert("format".to_owned(), format!("Tektronix WFM {version}"));
+        Ok(Self {
+            channel: FileChannel {
+                name: file.label.trim().to_owned(),
+                unit: Unit::parse(&vertical.unit),
+                full_scale: vertical.full_scale(kind),
+            },
+            input,
+            endian,
+            metadata,
+            curve: Curve {
+                at: file.curve_at + ends.first,
+                samples,
+                kind,
+                scale: vertical.scale,
+                offset: vertical.offset,
+            },
+            t0_s,
+            dt_s,
+        })
+    }
+}
+
+/// Static file information and the waveform's header, up to the vertical axis.
+struct FileInformation {
+    point_bytes: u64,
+    curve_at: u64,
+    label: String,
+}
+
+impl FileInformation {
+    /// Reads from behind the version to the vertical axis.
+    fn read(input: &mut Input, endian: Endian, version: u8) -> Result<Self, FormatError> {
         input.skip(5)?;
         let point_bytes = input.number(SampleType::U8, endian)? as u64;
         let curve_at = input.number(SampleType::U32, endian)? as u64;
@@ -120,65 +170,85 @@ impl WfmSource {
         }
         let summary_frame = if version > 1 { 2 } else { 0 };
         input.skip(28 + summary_frame + 12)?;
-        let view_bytes = if version == 3 { 60 } else { 56 };
-        let vertical = vertical(&mut input, endian)?;
-        input.skip(view_bytes + EXPLICIT_BYTES + view_bytes)?;
-        let dt_at = input.offset();
-        let dt_s = input.number(SampleType::F64, endian)?;
-        let first_s = input.number(SampleType::F64, endian)?;
-        let declared = input.number(SampleType::U32, endian)? as u64;
-        let time_unit = Unit::parse(&input.text(20)?).unwrap_or(Unit::SECOND);
-        input.skip(36 + view_bytes + IMPLICIT_BYTES + view_bytes + 2 * TIME_BASE_BYTES + 4)?;
+        Ok(Self {
+            point_bytes,
+            curve_at,
+            label,
+        })
+    }
+}
+
+/// Implicit dimension 1: the time axis, in the file's unit.
+struct Horizontal {
+    at: u64,
+    interval: f64,
+    first: f64,
+    declared: u64,
+    unit: Unit,
+}
+
+impl Horizontal {
+    fn read(input: &mut Input, endian: Endian) -> Result<Self, FormatError> {
+        Ok(Self {
+            at: input.offset(),
+            interval: input.number(SampleType::F64, endian)?,
+            first: input.number(SampleType::F64, endian)?,
+            declared: input.number(SampleType::U32, endian)? as u64,
+            unit: Unit::parse(&input.text(20)?).unwrap_or(Unit::SECOND),
+        })
+    }
+
+    /// Time of the first sample and sampling interval, in second, by the trigger's place that stands here.
+    fn times(&self, input: &mut Input, endian: Endian) -> Result<(f64, f64), FormatError> {
+        let (interval, first) = (self.interval, self.first);
         let trigger = input.number(SampleType::F64, endian)?;
-        // Fraction and seconds of the trigger; state, type and value of the checksum; precharge.
-        input.skip(12 + 10 + 4)?;
-        let ends_at = input.offset();
+        if !(interval > 0.0 && interval.is_finite() && first.is_finite() && trigger.is_finite()) {
+            let what = format!("a sampling interval of {interval:e} s from {first:e} s");
+            return Err(FormatError::at_byte(self.at, what));
+        }
+        let between = if trigger == NOT_KNOWN { 0.0 } else { trigger };
+        let scale = self.unit.scale;
+        Ok(((first + between * interval) * scale, interval * scale))
+    }
+}
+
+/// Ends of the samples in the curve's buffer, in bytes.
+struct Ends {
+    at: u64,
+    first: u64,
+    end: u64,
+    buffer: u64,
+}
+
+impl Ends {
+    fn read(input: &mut Input, endian: Endian) -> Result<Self, FormatError> {
+        let at = input.offset();
         let first = input.number(SampleType::U32, endian)? as u64;
         let end = input.number(SampleType::U32, endian)? as u64;
         input.skip(4)?;
         let buffer = input.number(SampleType::U32, endian)? as u64;
-        if !(dt_s > 0.0 && dt_s.is_finite() && first_s.is_finite() && trigger.is_finite()) {
-            let what = format!("a sampling interval of {dt_s:e} s from {first_s:e} s");
-            return Err(FormatError::at_byte(dt_at, what));
-        }
-        let kind = kind(vertical.format, version, point_bytes)
-            .map_err(|what| FormatError::at_byte(ends_at, what))?;
-        let bytes = kind.bytes() as u64;
-        let samples = end.saturating_sub(first) / bytes;
-        let whole = buffer / bytes;
-        if first > end || end > buffer || (declared != samples && declared != whole) {
-            let what = format!(
-                "samples from byte {first} to {end} of {buffer}, but {declared} samples declared"
-            );
-            return Err(FormatError::at_byte(ends_at, what));
-        }
-        input.seek(curve_at)?;
-        input.need(buffer)?;
-        input.seek(curve_at + buffer)?;
-        let mut metadata = metadata(&mut input, endian)?;
-        metadata.insert("format".to_owned(), format!("Tektronix WFM {version}"));
-        let curve = Curve {
-            at: curve_at + first,
-            samples,
-            kind,
-            scale: vertical.scale,
-            offset: vertical.offset,
-        };
-        let scale = time_unit.scale;
-        let between = if trigger == NOT_KNOWN { 0.0 } else { trigger };
         Ok(Self {
-            channel: FileChannel {
-                name: label.trim().to_owned(),
-                unit: Unit::parse(&vertical.unit),
-                full_scale: vertical.full_scale(kind),
-            },
-            input,
-            endian,
-            metadata,
-            curve,
-            t0_s: (first_s + between * dt_s) * scale,
-            dt_s: dt_s * scale,
+            at,
+            first,
+            end,
+            buffer,
         })
+    }
+
+    /// Count of samples, which must be the declared one.
+    fn samples(&self, kind: SampleType, declared: u64) -> Result<u64, FormatError> {
+        let bytes = kind.bytes() as u64;
+        let (first, end) = (self.first, self.end);
+        let samples = end.saturating_sub(first) / bytes;
+        let whole = self.buffer / bytes;
+        if first > end || end > self.buffer || (declared != samples && declared != whole) {
+            let what = format!(
+                "samples from byte {first} to {end} of {}, but {declared} samples declared",
+                self.buffer
+            );
+            return Err(FormatError::at_byte(self.at, what));
+        }
+        Ok(samples)
     }
 }
 

@@ -201,12 +201,7 @@ async fn serve(
     let url = server.url();
     let page = format!("{}/", configured::reached(&url, server.address()));
     tracing::info!(url, store = %store.display(), devices, "the daemon listens");
-    if let Some((fingerprint, file)) = server.certificate() {
-        tracing::info!(fingerprint, file = %file.display(), "TLS certificate (SHA-256)");
-    }
-    if let Some(file) = server.created_tokens() {
-        tracing::info!(file = %file.display(), "a token of each role was made");
-    }
+    log_secrets(&server);
     let edge = edge(&daemon, fleet).await;
     let (stop, stopping) = watch::channel(false);
     let mut serving = of_server.spawn(server.run(daemon.clone(), stopping));
@@ -239,6 +234,23 @@ async fn serve(
             let _ = serving.await;
         }
     };
+    end_in_time(ending, &mut signals).await;
+    anyhow::ensure!(signal.is_some(), SERVER_ENDED);
+    Ok(())
+}
+
+/// Logs where certificate and tokens are.
+fn log_secrets(server: &ApiServer) {
+    if let Some((fingerprint, file)) = server.certificate() {
+        tracing::info!(fingerprint, file = %file.display(), "TLS certificate (SHA-256)");
+    }
+    if let Some(file) = server.created_tokens() {
+        tracing::info!(file = %file.display(), "a token of each role was made");
+    }
+}
+
+/// Awaits an orderly end; ends the process where that takes too long, or after a second Ctrl-C.
+async fn end_in_time(ending: impl Future<Output = ()>, signals: &mut supervised::Signals) {
     tokio::pin!(ending);
     tokio::select! {
         ended = timeout(END_WITHIN, &mut ending) => match ended {
@@ -254,8 +266,6 @@ async fn serve(
             exit(INTERRUPTED);
         }
     }
-    anyhow::ensure!(signal.is_some(), SERVER_ENDED);
-    Ok(())
 }
 
 /// Starts the daemon as an edge of a fleet, if configured. Hobs do not wait for the fleet: without a file of it the daemon runs alone, with an
