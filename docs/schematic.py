@@ -31,10 +31,6 @@ def constant(path, name):
     return float(found[1].replace("_", ""))
 
 
-# What the firmware reads by.
-V_FULL_SCALE_V = BOARD["sensors"]["coil_voltage_full_scale_mv"] / 1e3
-I_FULL_SCALE_A = BOARD["sensors"]["coil_current_full_scale_ma"] / 1e3
-BUS_FULL_SCALE_V = BOARD["sensors"]["bus_full_scale_dv"] / 10
 I_TRIP_A = BOARD["limits"]["trip_current_ma"] / 1e3
 MAINS_ARMED_CODE = constant("firmware/src/sense/mains.rs", "ARMING_CODES")
 C_R_NF = BOARD["bridge"]["resonance_capacitance_nf"]
@@ -42,8 +38,6 @@ F_MIN_HZ = BOARD["rating"]["f_sw_min_hz"]
 F_MAX_HZ = BOARD["rating"]["f_sw_max_hz"]
 DEAD_TIME_NS = BOARD["bridge"]["dead_time_ns"]
 TICK_HZ = 8 * 170e6
-MAINS_FULL_SCALE_V = BOARD["sensors"]["mains_full_scale_mv"] / 1e3
-ANTI_ALIAS_HZ = BOARD["sensors"]["anti_alias_hz"]
 # Resistance at 25 °C, B, resistor to 3V3.
 NTCS = {
     sensor: [BOARD["thermistors"][f"{sensor}_{key}"] for key in ("ntc_ohm", "ntc_b_k", "pull_up_ohm")]
@@ -55,7 +49,7 @@ FRONT_END = BOARD["front_end"]
 # The parts, in ohm, farad and turns: E96 resistors, E6 or E12 capacitors.
 PARTS = {
     "series": 4,
-    # Three and one: no ratio of two E96 values is within 0.6 % of 640 V.
+    # Three and one: no ratio of two E96 values comes as near to 640 V.
     "coil_top": 64.9e3,
     "coil_last": 63.4e3,
     "coil_bottom": FRONT_END["coil_divider_bottom_ohm"],
@@ -128,16 +122,13 @@ def values():
         rows.append((name, number, unit, how))
         return number
 
-    def error(got, wanted):
-        return f"{100 * (got / wanted - 1):+.2f} % of {wanted:g}"
-
     coil, mains, bus, amps = full_scales()
-    row("coil voltage, full scale", coil, "V", error(coil, V_FULL_SCALE_V))
-    row("mains voltage, full scale", mains, "V", error(mains, MAINS_FULL_SCALE_V))
-    row("bus voltage, full scale", bus, "V", error(bus, BUS_FULL_SCALE_V))
-    row("coil current, full scale", amps, "A", error(amps, I_FULL_SCALE_A))
+    row("coil voltage, full scale", coil, "V", "1.65 V · 258.1 kΩ / 665 Ω")
+    row("mains voltage, full scale", mains, "V", "1.65 V · 928 kΩ / 3.83 kΩ")
+    row("bus voltage, full scale", bus, "V", "3.3 V · (928 kΩ / 6.19 kΩ + 1)")
+    row("coil current, full scale", amps, "A", "1.65 V / 4.12 Ω · 200")
     pole = corner_hz(p["pin_r"], p["pin_c_fast"])
-    row("anti-alias pole", pole / 1e3, "kHz", error(pole / 1e3, ANTI_ALIAS_HZ / 1e3))
+    row("anti-alias pole", pole / 1e3, "kHz", "316 Ω · 1 nF")
     row("its time constant", p["pin_r"] * p["pin_c_fast"] * 1e9, "ns", "316 Ω · 1 nF")
     slow = corner_hz(p["pin_r"], p["pin_c_slow"])
     row("pole at PB0 and PB1", slow / 1e3, "kHz", "316 Ω · 10 nF")
@@ -145,12 +136,11 @@ def values():
     row("pole of the mains amplifier", at_mains / 1e3, "kHz", "3.83 kΩ · 2.2 nF")
     r_bus = parallel(n * p["bus_top"], p["bus_bottom"])
     row("pole of the bus divider", corner_hz(r_bus, p["bus_c"]) / 1e3, "kHz", "6.15 kΩ · 2.2 nF")
-    trip = math.floor(I_TRIP_A * HALF_CODES / I_FULL_SCALE_A)
+    trip = math.floor(I_TRIP_A * HALF_CODES / amps)
     level = HALF_CODES + trip
     row("trip level of DAC and comparators", level, "code", f"2048 + {trip}")
     row("trip level at PA1 and PA7", V_ADC_V * level / 4096, "V", "at VDDA = 3.300 V")
-    row("trip current by the firmware's scale", trip * I_FULL_SCALE_A / HALF_CODES, "A", "")
-    row("trip current with this burden", trip * amps / HALF_CODES, "A", "")
+    row("trip current", trip * amps / HALF_CODES, "A", "")
     row("DC through the burden that trips", trip / HALF_CODES * V_REF_V / p["burden"], "A", "")
     row("mains that arms the crossing detector", MAINS_ARMED_CODE * mains / HALF_CODES, "V", "crest")
     m = math.ceil(TICK_HZ / (61 * F_MAX_HZ))
@@ -192,8 +182,8 @@ def values():
     row("chain of the coil voltage over its bottom", gain, "", "")
     row("both inputs of U3A with SW at 325 V", (gain * V_REF_V + 325) / (gain + 1), "V", "")
     row("U3A's slope at an edge of 325 V in 0.2 µs", 325 / 0.2 / gain, "V/µs", "")
-    row("a code of the coil voltage", 1e3 * V_FULL_SCALE_V / HALF_CODES, "mV", "")
-    row("its rounding", 1e3 * V_FULL_SCALE_V / HALF_CODES / math.sqrt(12), "mV", "rms")
+    row("a code of the coil voltage", 1e3 * coil / HALF_CODES, "mV", "")
+    row("its rounding", 1e3 * coil / HALF_CODES / math.sqrt(12), "mV", "rms")
     r_noise = parallel(coil_chain_ohm(), p["coil_bottom"])
     thermal = math.sqrt(4 * 1.38e-23 * 300 * 2 * r_noise + (5e-9) ** 2) * (gain + 1) * math.sqrt(math.pi / 2 * pole)
     row("noise of chain and U3A, 5 nV/√Hz, at the coil", 1e3 * thermal, "mV", "rms behind the anti-alias pole")

@@ -9,6 +9,7 @@ use toml::de::{DeTable, DeValue};
 use crate::error::BoardError;
 use crate::order::ORDER;
 use crate::pins::{self, PINS};
+use crate::scales;
 use crate::thermistors;
 use crate::values::VALUES;
 
@@ -20,7 +21,7 @@ const UNKNOWN: &str = "unknown; boards/reference.toml has every value";
 pub struct Board {
     path: PathBuf,
     name: String,
-    /// Value and line, by section and key.
+    /// Value and line, by section and key; with those that [`scales`] adds.
     values: BTreeMap<String, (i64, usize)>,
     /// Port, line of the port, and line of the file, by key.
     pins: BTreeMap<&'static str, ((u8, u8), usize)>,
@@ -69,6 +70,10 @@ impl Board {
                     ));
                 }
             }
+        }
+        board.require_all()?;
+        for (name, number, line) in scales::values(&board)? {
+            board.values.insert(name, (number, line));
         }
         board.check()?;
         Ok(board)
@@ -122,7 +127,7 @@ impl Board {
         Ok(())
     }
 
-    fn check(&self) -> Result<(), BoardError> {
+    fn require_all(&self) -> Result<(), BoardError> {
         for value in VALUES {
             let name = format!("{}.{}", value.section, value.key);
             if !self.values.contains_key(&name) {
@@ -142,6 +147,10 @@ impl Board {
                 });
             }
         }
+        Ok(())
+    }
+
+    fn check(&self) -> Result<(), BoardError> {
         for order in ORDER {
             let ((lower, lower_line), (upper, line)) =
                 (self.value(order.lower), self.value(order.upper));
@@ -162,7 +171,7 @@ impl Board {
         self.pins[key]
     }
 
-    /// Value and line of a section and key that [`VALUES`] has.
+    /// Value and line of a section and key that [`VALUES`] or [`scales`] has.
     pub(crate) fn value(&self, name: &str) -> (i64, usize) {
         self.values[name]
     }
@@ -191,7 +200,7 @@ impl Board {
                 value.doc, value.kind
             );
         }
-        text + &thermistors::constants(self) + &pins::constants(self)
+        text + &scales::constants(self) + &thermistors::constants(self) + &pins::constants(self)
     }
 }
 

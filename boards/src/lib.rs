@@ -1,13 +1,14 @@
 //! Board files: the values of a power stage and its sensors.
 //!
 //! ```text
-//! boards/NAME.toml ─► Board::read ─► values (each in its range) ─► order (limits below one another), pins, thermistors ─► constants
+//! boards/NAME.toml ─► Board::read ─► values (each in its range) ─► scales ─► order (limits below one another), pins, thermistors ─► constants
 //! ```
 
 mod board;
 mod error;
 mod order;
 mod pins;
+mod scales;
 mod thermistors;
 mod values;
 

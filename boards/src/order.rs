@@ -49,7 +49,7 @@ pub(crate) const ORDER: &[Order] = &[
     ),
     order(
         "limits.trip_current_ma",
-        "sensors.coil_current_full_scale_ma",
+        "front_end.coil_current_full_scale_ma",
         1.02,
         "the converter must show the trip",
     ),
@@ -61,7 +61,7 @@ pub(crate) const ORDER: &[Order] = &[
     ),
     order(
         "limits.soft_coil_voltage_dv",
-        "sensors.coil_voltage_full_scale_mv",
+        "front_end.coil_voltage_full_scale_mv",
         102.0,
         "the converter must show the soft limit",
     ),
@@ -73,7 +73,7 @@ pub(crate) const ORDER: &[Order] = &[
     ),
     order(
         "limits.bus_trip_dv",
-        "sensors.bus_full_scale_dv",
+        "front_end.bus_full_scale_dv",
         1.02,
         "the converter must show the trip",
     ),
@@ -86,7 +86,7 @@ pub(crate) const ORDER: &[Order] = &[
     ),
     order(
         "mains.mains_voltage_v",
-        "sensors.mains_full_scale_mv",
+        "front_end.mains_full_scale_mv",
         1_626.0,
         "the converter must show the crest",
     ),

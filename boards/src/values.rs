@@ -69,16 +69,6 @@ values! {
         winding_mohm: u32 1..=1_000, "Resistance of the winding and its leads, in milliohm.";
         bare_coil_nh: u32 1_000..=64_000, "Inductance of the coil with nothing on it, at the probe frequency, in nanohenry: a pot probe without a pot tests the current's gain with it.";
     }
-    sensors {
-        coil_voltage_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the coil voltage's channel, in millivolt.";
-        coil_current_full_scale_ma: u32 5_000..=500_000, "Half the input range of the coil current's channel, in milliampere.";
-        bus_full_scale_dv: u32 500..=15_000, "Bus voltage at the end of the converter's range, in decivolt.";
-        mains_full_scale_mv: u32 50_000..=1_000_000, "Half the input range of the mains voltage's channel, in millivolt.";
-        anti_alias_hz: u32 100_000..=5_000_000, "Corner of the first-order anti-alias filter of both fast channels, in hertz.";
-        bus_pole_hz: u32 100..=5_000_000, "Pole of the bus divider, in hertz.";
-        mains_pole_hz: u32 100..=5_000_000, "Pole of the mains amplifier, in hertz.";
-        slow_pin_pole_hz: u32 100..=5_000_000, "Pole at the pins of bus and mains, in hertz.";
-    }
     front_end {
         coil_divider_ohm: u32 10_000..=10_000_000, "Resistance of each chain of the coil voltage's divider, in ohm.";
         coil_divider_bottom_ohm: u32 10..=100_000, "Resistor below each of these chains, in ohm.";

@@ -83,11 +83,11 @@ impl Scales {
     }
 }
 
-/// For people: "±640 V, ±80 A".
+/// For people: "±640.4 V, ±80.1 A".
 impl core::fmt::Display for Scales {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         let (v, i) = (self.v_full_scale_v(), self.i_full_scale_a());
-        write!(f, "±{v} V, ±{i} A")
+        write!(f, "±{v:.1} V, ±{i:.1} A")
     }
 }
 

@@ -3,12 +3,13 @@
 use std::time::Duration;
 
 use ihd_link::{Client, DeviceEvent, GrantedPower, LinkError, Transport};
+use ihd_shared::board::{BUS_FULL_SCALE_DV, MAINS_FULL_SCALE_MV};
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::blob::LEN;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup};
-use ihd_shared::sampling::V_FULL_SCALE_MV;
+use ihd_shared::sampling::{I_FULL_SCALE_MA, V_FULL_SCALE_MV};
 use ihd_shared::wire::PROTOCOL_MAJOR;
 use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{CRC32, MAX_ENCODED, encode, encode_numbered, encode_raw};
@@ -78,9 +79,9 @@ fn the_scales_are_known_once_it_is_connected() {
     let (client, _) = connected();
     let front_end = FrontEnd {
         v_full_scale_mv: V_FULL_SCALE_MV,
-        i_full_scale_ma: 80_000,
-        bus_full_scale_mv: 500_000,
-        mains_full_scale_mv: 400_000,
+        i_full_scale_ma: I_FULL_SCALE_MA,
+        bus_full_scale_mv: 100 * BUS_FULL_SCALE_DV,
+        mains_full_scale_mv: MAINS_FULL_SCALE_MV,
         bits: 12,
     };
     assert_eq!(client.front_end(), &front_end);

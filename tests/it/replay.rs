@@ -131,7 +131,7 @@ fn a_device_of_other_scales_is_not_compared() {
     };
     let error = run(&segments(), QUICK, &mut connect, &mut |_, _| ()).unwrap_err();
     let text = error.to_string();
-    assert!(text.contains("±500 V, ±80 A, this build's"), "{text}");
+    assert!(text.contains("±500.0 V, ±80.1 A, this build's"), "{text}");
 }
 
 /// A small generator, so that each seed damages in its own way.

@@ -12,6 +12,11 @@ pub(crate) fn refused(from: &str, to: &str) -> String {
     wrong.unwrap_err().to_string()
 }
 
+pub(crate) fn constants() -> String {
+    let board = Board::parse(Path::new("my.toml"), &reference());
+    board.unwrap().constants()
+}
+
 #[test]
 fn a_file_becomes_constants() {
     let text = reference().replace("trip_current_ma = 76_000", "trip_current_ma = 75_500");
@@ -42,7 +47,7 @@ fn a_limit_that_cannot_be_kept_names_its_line() {
     let text = reference().replace("trip_current_ma = 76_000", "trip_current_ma = 79_000");
     let at = text
         .lines()
-        .position(|l| l.starts_with("coil_current_full_scale_ma"))
+        .position(|l| l.starts_with("burden_mohm"))
         .unwrap();
     assert!(why.contains(&format!("my.toml:{}:", at + 1)), "{why}");
     assert!(why.contains("limits.trip_current_ma = 79000"), "{why}");

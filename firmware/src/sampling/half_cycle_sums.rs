@@ -12,6 +12,9 @@ use crate::sense::bus::BusReading;
 use crate::sense::correlation::BlockSums;
 use crate::sense::demodulator::{Phasors, amplitude_ma, norm_of_ma};
 
+/// Half the input range of the coil voltage, in decivolt.
+const V_FULL_SCALE_DV: u32 = (V_FULL_SCALE_MV + 50) / 100;
+
 /// Milliwatt of one code squared, times the codes' range squared.
 const MILLIWATT: u64 = V_FULL_SCALE_MV as u64 * I_FULL_SCALE_MA as u64 / 1_000;
 
@@ -74,7 +77,7 @@ impl HalfCycleAccumulator {
         self.blocks += 1;
         self.result.bus_peak_dv = self.result.bus_peak_dv.max(bus_dv);
         if sums.v_peak > 0 {
-            let peak_dv = (u32::from(sums.v_peak) * (V_FULL_SCALE_MV / 100)) >> (CODE_BITS - 1);
+            let peak_dv = (u32::from(sums.v_peak) * V_FULL_SCALE_DV) >> (CODE_BITS - 1);
             self.result.v_peak_dv = self.result.v_peak_dv.max(peak_dv);
         }
         if let Some(ma) = dc_link_ma {
@@ -171,7 +174,7 @@ impl HalfCycleSums {
             power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
             i_turn_off_min_ma: i32::MAX.wrapping_sub(sums.below_max_ma as i32),
             channels: ChannelDefects {
-                v_offset_dv: mean(sums.offsets.0, V_FULL_SCALE_MV / 100),
+                v_offset_dv: mean(sums.offsets.0, V_FULL_SCALE_DV),
                 i_offset_ma: mean(sums.offsets.1, I_FULL_SCALE_MA),
                 // A half-cycle in which nothing was looked at has no offset either.
                 i_gap: sums.offset_blocks > 0 && sums.near_zero != (true, true),

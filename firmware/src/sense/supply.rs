@@ -7,12 +7,10 @@
 //! therefore only [`SUPPLY_MIN_MV`] to [`SUPPLY_MAX_MV`] is corrected, where either makes 4.9 % of power at most. Beyond it, and
 //! with a calibration that no chip has, nothing is heated.
 
+use ihd_shared::board::NOMINAL_SUPPLY_MV;
 use ihd_shared::fault::Fault;
 
 use crate::limits::{SUPPLY_MAX_MV, SUPPLY_MIN_MV, SUPPLY_READINGS};
-
-/// Supply by which the scales of all channels are defined, in millivolt.
-const NOMINAL_MV: u32 = 3_300;
 
 /// Calibration codes that a chip may have: 1.18 to 1.24 V of 3.0 V (DS12288, "Embedded voltage reference").
 const CALIBRATIONS: core::ops::RangeInclusive<u16> = 1_611..=1_693;
@@ -47,7 +45,7 @@ impl Reference {
     fn scale_q16(&self) -> Option<u32> {
         let in_range = CALIBRATIONS.contains(&self.calibrated)
             && (SUPPLY_MIN_MV..=SUPPLY_MAX_MV).contains(&u32::from(self.vdda_mv()));
-        let nominal_code = NOMINAL_MV * u32::from(self.code);
+        let nominal_code = NOMINAL_SUPPLY_MV * u32::from(self.code);
         let calibrated = u64::from(Self::CALIBRATED_MV * u32::from(self.calibrated));
         in_range.then(|| ((calibrated << 16) / u64::from(nominal_code.max(1))) as u32)
     }

@@ -1,12 +1,11 @@
 //! The two ADC channels: anti-alias filter, noise, 12-bit codes, saturation.
 
-use ihd_shared::sampling::{CODE_HALF_RANGE, Pair};
+use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use ihd_signal::quantise::code;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::front_end::{AMPERE_PER_CODE, VOLT_PER_CODE};
 use super::inverter::Instant;
 use super::low_pass::LowPass;
 
@@ -107,7 +106,7 @@ mod tests {
     use ihd_shared::sampling::{CODE_MAX, CODE_MIN};
 
     use super::*;
-    use crate::front_end::{COIL_CURRENT_FULL_SCALE_A, COIL_VOLTAGE_FULL_SCALE_V};
+    use ihd_shared::sampling::{I_FULL_SCALE_A, V_FULL_SCALE_V};
 
     /// 600 V over 258.1 kΩ in 665 Ω are 1.54591 V of 3.3 V, 76.07 A over 200 in 4.12 Ω are 1.56704 V.
     #[test]
@@ -125,7 +124,7 @@ mod tests {
     fn codes_round_and_saturate() {
         let mut adc = SimulatedAdc::new(ConverterNoise::default(), 0);
         assert_eq!(
-            adc.convert(COIL_VOLTAGE_FULL_SCALE_V, -COIL_CURRENT_FULL_SCALE_A),
+            adc.convert(V_FULL_SCALE_V, -I_FULL_SCALE_A),
             Pair {
                 v: CODE_MAX,
                 i: CODE_MIN

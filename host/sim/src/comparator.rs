@@ -55,13 +55,13 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
-    use crate::front_end::ANTI_ALIAS_HZ;
     use crate::low_pass::LowPass;
+    use ihd_shared::sampling::ANTI_ALIAS_HZ;
 
     /// Returns `true` if a sine of this amplitude trips at 76.07 A behind the anti-alias filter.
     fn trips(f_hz: f64, amplitude_a: f64) -> bool {
         let dt_s = 1.0 / (f_hz * 244.0);
-        let mut filter = LowPass::settled(ANTI_ALIAS_HZ, 0.0);
+        let mut filter = LowPass::settled(f64::from(ANTI_ALIAS_HZ), 0.0);
         let mut comparator = FilteredComparator::default();
         (0..5 * 244).any(|n| {
             let i_a = amplitude_a * (TAU * f_hz * f64::from(n) * dt_s).sin();

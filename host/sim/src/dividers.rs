@@ -1,8 +1,8 @@
 //! Dividers of bus and mains in front of the slow converter: their poles (docs/board.md).
 
 use ihd_firmware::sense::bus::BUS_MEAN;
+use ihd_shared::board::{BUS_POLE_HZ, MAINS_POLE_HZ, SLOW_PIN_POLE_HZ};
 
-use super::front_end::{BUS_POLE_HZ, MAINS_POLE_HZ, SLOW_PIN_POLE_HZ};
 use super::low_pass::LowPass;
 
 /// Voltages that the slow converter takes in one block and the firmware uses, as volt at the dividers' inputs.
@@ -25,7 +25,7 @@ pub struct Dividers {
 
 impl Default for Dividers {
     fn default() -> Self {
-        let pole = |corner_hz: f64| LowPass::settled(corner_hz, 0.0);
+        let pole = |corner_hz: u32| LowPass::settled(f64::from(corner_hz), 0.0);
         let pin = pole(SLOW_PIN_POLE_HZ);
         Self {
             bus: [pole(BUS_POLE_HZ), pin],

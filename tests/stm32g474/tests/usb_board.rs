@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use ihd_link::{Client, Transport};
+use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
 use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::front_end::ANTI_ALIAS_HZ;
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
@@ -19,7 +19,7 @@ fn powered() -> (Bench, Cable) {
     let path = std::env::var_os("IHD_STM32G474_IMAGE")
         .expect("`cargo xtask test --only board` names the image");
     let plant = || {
-        let adc = SimulatedAdc::new(ConverterNoise::default(), 1).with_filter(ANTI_ALIAS_HZ);
+        let adc = SimulatedAdc::new(ConverterNoise::default(), 1).with_filter(f64::from(ANTI_ALIAS_HZ));
         Plant::new(SimulatedMains::of_board(), PotKind::Ferromagnetic, adc)
     };
     let bench = Bench::power_up(&PathBuf::from(path), plant).expect("the image is built");

@@ -20,8 +20,9 @@ fn power_is_the_mean_product() {
         a.running().add_block(&sums, 3_000, None);
     }
     let s = ended(&mut a, 7, 45_000, 10_000_000);
-    // The filter lets 1/(1 + 0.09²) of it through.
-    let expected = 200_000.0 * VOLT_PER_CODE * AMPERE_PER_CODE * 1e3 * (1.0 + 0.09f64.powi(2));
+    // The filter lets 1/(1 + (f_sw/f_c)²) of it through.
+    let unfiltered = 1.0 + (45e3 / f64::from(ANTI_ALIAS_HZ)).powi(2);
+    let expected = 200_000.0 * VOLT_PER_CODE * AMPERE_PER_CODE * 1e3 * unfiltered;
     assert!((f64::from(s.power_mw) / expected - 1.0).abs() < 1e-4);
     assert_eq!((s.half_cycle, s.bus_peak_dv), (7, 3_000));
     let afresh = ended(&mut a, 8, 0, 0);
@@ -39,7 +40,10 @@ fn codes_that_no_adc_has_overflow_nothing() {
         a.running().add_offsets(&[Pair { v, i }; ADC_LOCK_P]);
     }
     let s = ended(&mut a, 0, 45_000, 10_000_000);
-    let (v_dv, i_ma) = (32_767 * 6_400 / 2_048, -32_768_i64 * 80_000 / 2_048);
+    let (v_dv, i_ma) = (
+        32_767 * V_FULL_SCALE_DV as i32 / 2_048,
+        -16 * i64::from(I_FULL_SCALE_MA),
+    );
     assert_eq!(
         (s.channels.v_offset_dv, i64::from(s.channels.i_offset_ma)),
         (v_dv, i_ma)

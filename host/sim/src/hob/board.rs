@@ -4,9 +4,9 @@ use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::service::BoardServices;
 use ihd_firmware::sense::codes::TRIP_CODE;
 use ihd_firmware::sense::supply::{Reference, SupplyScale};
+use ihd_shared::sampling::AMPERE_PER_CODE;
 use ihd_shared::wire::messages::Program;
 
-use crate::front_end::AMPERE_PER_CODE;
 use crate::injection::{InjectionKind, Injections};
 
 /// Code of the chip's reference voltage at 3.0 V, as its maker found it.

@@ -2,12 +2,11 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use ihd_shared::board;
+use ihd_shared::board::{self, ANTI_ALIAS_HZ};
 
 use crate::adc::{ConverterNoise, SimulatedAdc};
 use crate::behavioural::PotKind;
 use crate::contents::PotContents;
-use crate::front_end::ANTI_ALIAS_HZ;
 use crate::inverter::InverterError;
 use crate::inverter::supply::SupplyParts;
 use crate::mains::SimulatedMains;
@@ -80,7 +79,7 @@ impl Default for HobConfig {
             warming: false,
             contents: PotContents::default(),
             glass_contact: 1.0,
-            anti_alias_hz: ANTI_ALIAS_HZ.round(),
+            anti_alias_hz: f64::from(ANTI_ALIAS_HZ),
             // Half an LSB: what a good 12-bit converter has left.
             noise: ConverterNoise {
                 v_v: 0.16,

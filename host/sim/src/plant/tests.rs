@@ -1,11 +1,11 @@
 //! Plant against its laws, its instruments and its comparator.
 
 use ihd_shared::hob::WINDING_R_OHM;
+use ihd_shared::sampling::AMPERE_PER_CODE;
 
 use super::*;
 use crate::adc::ConverterNoise;
 use crate::behavioural::{BehaviouralLoad, PotKind};
-use crate::front_end::AMPERE_PER_CODE;
 
 fn at_full_power(load: LoadKind) -> Plant {
     let adc = SimulatedAdc::new(ConverterNoise::default(), 1);

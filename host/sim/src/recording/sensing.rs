@@ -1,6 +1,5 @@
 //! Settings of the sensing chain, and their limits.
 
-use ihd_shared::sampling::{I_FULL_SCALE_A, V_FULL_SCALE_V};
 use serde::{Deserialize, Serialize};
 
 use crate::inverter::{InverterError, in_range};
@@ -71,8 +70,8 @@ impl Default for Sensing {
             rate: Rate::Hz(50e6),
             allow_aliasing: false,
             bits: 16,
-            v_full_scale_v: V_FULL_SCALE_V,
-            i_full_scale_a: I_FULL_SCALE_A,
+            v_full_scale_v: 640.0,
+            i_full_scale_a: 80.0,
             v_gain: 1.0,
             i_gain: 1.0,
             v_offset_v: 0.0,

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use ihd_link::{Client, DeviceEvent};
 use ihd_shared::wire::messages::Telemetry;
-use ihd_sim::front_end::IMPEDANCE_GAIN;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
@@ -87,8 +86,8 @@ fn noise_and_bias_of_the_firmwares_r_and_l() {
             let at = |k: &usize| truth.i_a[*k];
             let crest = (0..truth.i_a.len()).max_by(|a, b| at(a).total_cmp(&at(b)));
             let crest = crest.unwrap();
-            r_pct.push(100.0 * (h.r_ohm / IMPEDANCE_GAIN / truth.r_ohm[crest] - 1.0));
-            l_pct.push(100.0 * (h.l_h / IMPEDANCE_GAIN / truth.l_h[crest] - 1.0));
+            r_pct.push(100.0 * (h.r_ohm / truth.r_ohm[crest] - 1.0));
+            l_pct.push(100.0 * (h.l_h / truth.l_h[crest] - 1.0));
         }
         let of = |x: &[f64]| {
             let mean = x.iter().sum::<f64>() / x.len() as f64;

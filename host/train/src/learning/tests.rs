@@ -14,7 +14,6 @@ use ihd_shared::wire::messages::{State, Telemetry};
 use ihd_signal::Segment;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::truth::{Mre, Truth};
-use ihd_sim::front_end::IMPEDANCE_GAIN;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::transport::SharedHob;
@@ -240,7 +239,6 @@ fn deviations_of_a_window_are_those_of_its_errors() {
                 continue;
             }
             let (r_ohm, l_h) = truth.at(*t_s).expect("a time of the half-cycle");
-            let (r_ohm, l_h) = (IMPEDANCE_GAIN * r_ohm, IMPEDANCE_GAIN * l_h);
             squares[0] += ((found.r_ohm[k] - r_ohm) / found.r_sigma_ohm[k]).powi(2);
             squares[1] += ((found.l_h[k] - l_h) / found.l_sigma_h[k]).powi(2);
             count += 1.0;

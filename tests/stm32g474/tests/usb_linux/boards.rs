@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use ihd_shared::sampling::ANTI_ALIAS_HZ;
 use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
-use ihd_sim::front_end::ANTI_ALIAS_HZ;
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
@@ -25,7 +25,7 @@ impl Board {
     /// Runs the image as fast as possible on a chip whose unique number begins with `unique`.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
         let filtered =
-            |seed| SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(ANTI_ALIAS_HZ);
+            |seed| SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(f64::from(ANTI_ALIAS_HZ));
         let plant = move || {
             Plant::new(
                 SimulatedMains::of_board(),
