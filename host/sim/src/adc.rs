@@ -39,12 +39,53 @@ impl ConverterNoise {
     }
 }
 
+/// Anti-alias filters of coil voltage and current.
+#[derive(Clone, Copy, Debug)]
+pub struct AntiAlias {
+    filters: [LowPass; 2],
+}
+
+impl AntiAlias {
+    /// Creates filters at rest with a corner in hertz; 0 passes everything.
+    fn new(corner_hz: f64) -> Self {
+        Self {
+            filters: [LowPass::settled(corner_hz, 0.0); 2],
+        }
+    }
+
+    /// Sets the duration of a step, in seconds.
+    pub fn set_step(&mut self, dt_s: f64) {
+        self.filters
+            .iter_mut()
+            .for_each(|filter| filter.set_step(dt_s));
+    }
+
+    /// Advances by a step that ends with these coil voltage and current.
+    #[inline(always)]
+    pub fn step(&mut self, now: &Instant) {
+        self.filters[0].step_mean(now.coil_mean_v, now.coil_v);
+        self.filters[1].step(now.i_a);
+    }
+
+    /// Present outputs: voltage in volt, and current in ampere, at the pin of the comparators.
+    #[inline(always)]
+    pub fn outputs(&self) -> [f64; 2] {
+        self.filters.map(|filter| filter.output())
+    }
+
+    /// Ends outputs that have decayed.
+    pub fn end_decay(&mut self) {
+        self.filters.iter_mut().for_each(LowPass::end_decay);
+    }
+}
+
 /// Sampler; deterministic for a seed.
 #[derive(Clone, Debug)]
 pub struct SimulatedAdc {
     noise: ConverterNoise,
     rng: ChaCha8Rng,
-    filters: [LowPass; 2],
+    /// Filters before it.
+    pub filters: AntiAlias,
 }
 
 impl SimulatedAdc {
@@ -53,35 +94,16 @@ impl SimulatedAdc {
         Self {
             noise,
             rng: ChaCha8Rng::seed_from_u64(seed),
-            filters: [LowPass::settled(0.0, 0.0); 2],
+            filters: AntiAlias::new(0.0),
         }
     }
 
     /// Adds a first-order anti-alias filter with a corner in hertz to both channels, at rest.
     pub fn with_filter(self, corner_hz: f64) -> Self {
         Self {
-            filters: [LowPass::settled(corner_hz, 0.0); 2],
+            filters: AntiAlias::new(corner_hz),
             ..self
         }
-    }
-
-    /// Advances the filters by a step of `dt_s` that ends with these coil voltage and current.
-    #[inline]
-    pub fn advance(&mut self, now: &Instant, dt_s: f64) {
-        self.filters[0].advance_mean(now.coil_mean_v, now.coil_v, dt_s);
-        self.filters[1].advance(now.i_a, dt_s);
-    }
-
-    /// Present output of the current's filter, at the pin of the comparators, in ampere.
-    #[inline]
-    pub fn current_a(&self) -> f64 {
-        self.filters[1].output()
-    }
-
-    /// Present outputs of the filters: voltage in volt, current in ampere.
-    pub fn outputs(&mut self) -> [f64; 2] {
-        self.filters.iter_mut().for_each(LowPass::end_decay);
-        self.filters.map(|filter| filter.output())
     }
 
     /// Converts one pair of voltage in volt and current in ampere.

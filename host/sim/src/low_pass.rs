@@ -30,21 +30,22 @@ impl LowPass {
     /// Advances by `dt_s` seconds to the next input; returns the output. Trapezoidal: stable for any step.
     #[inline]
     pub fn advance(&mut self, input: f64, dt_s: f64) -> f64 {
-        if self.step_s != dt_s {
-            self.set_step(dt_s);
-        }
-        let [keep, old, new] = self.factors;
-        self.output = keep * self.output + (old * self.input + new * input);
-        self.input = input;
+        self.set_step(dt_s);
+        self.step(input);
         self.output
     }
 
-    /// Advances by `dt_s` seconds over an input of this mean, which ends at `input`: of an input with edges it keeps their place.
-    #[inline]
-    pub fn advance_mean(&mut self, mean: f64, input: f64, dt_s: f64) {
-        if self.step_s != dt_s {
-            self.set_step(dt_s);
-        }
+    /// Advances by the step last set to the next input.
+    #[inline(always)]
+    pub fn step(&mut self, input: f64) {
+        let [keep, old, new] = self.factors;
+        self.output = keep * self.output + (old * self.input + new * input);
+        self.input = input;
+    }
+
+    /// Advances by the step last set over an input of this mean, which ends at `input`: of an input with edges it keeps their place.
+    #[inline(always)]
+    pub fn step_mean(&mut self, mean: f64, input: f64) {
         let [keep, old, new] = self.factors;
         self.output = match self.corner_hz {
             0.0 => input,
@@ -58,7 +59,15 @@ impl LowPass {
         self.output = without_decayed(self.output);
     }
 
-    fn set_step(&mut self, dt_s: f64) {
+    /// Sets the step in seconds.
+    #[inline]
+    pub fn set_step(&mut self, dt_s: f64) {
+        if self.step_s != dt_s {
+            self.change_step(dt_s);
+        }
+    }
+
+    fn change_step(&mut self, dt_s: f64) {
         self.step_s = dt_s;
         // Half of the step as a share of the time constant.
         let g = 0.5 * TAU * self.corner_hz * dt_s;
@@ -110,7 +119,8 @@ mod tests {
     #[test]
     fn an_edge_inside_a_step_counts_by_its_share() {
         let mut pole = LowPass::settled(500e3, 0.0);
-        pole.advance_mean(0.5, 1.0, 80e-9);
+        pole.set_step(80e-9);
+        pole.step_mean(0.5, 1.0);
         let expected = 1.0 - (-TAU * 500e3 * 40e-9f64).exp();
         assert!(
             (pole.output() / expected - 1.0).abs() < 0.06,
@@ -118,7 +128,8 @@ mod tests {
             pole.output()
         );
         let mut none = LowPass::settled(0.0, 0.0);
-        none.advance_mean(0.5, 1.0, 80e-9);
+        none.set_step(80e-9);
+        none.step_mean(0.5, 1.0);
         assert_eq!(none.output(), 1.0);
     }
 

@@ -175,7 +175,7 @@ impl Plant {
 
     /// Returns `true` while hardware holds both switches open: comparator, sampling watchdog or system fault.
     pub fn is_tripped(&self) -> bool {
-        self.held_since_s().is_some()
+        self.comparator_since_s().is_some() || self.opening.since_s(self.t_s()).is_some()
     }
 
     /// Time in seconds since when hardware holds both switches open; `None` while it does not.
@@ -383,41 +383,33 @@ impl Plant {
     /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere behind the anti-alias
     /// filter after every integration step, as a comparator sees it. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
-        let start = self.adc.outputs();
+        self.adc.filters.end_decay();
+        let start = self.adc.filters.outputs();
         self.inverter.bus.end_decay();
         let sample_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
-        let bridge = match self.is_tripped() {
-            false => self.drive.bridge,
-            true => Bridge::Open,
-        };
-        if bridge == Bridge::Switching {
+        let mut is_open = self.is_tripped() || self.drive.bridge == Bridge::Open;
+        if !is_open && self.drive.bridge == Bridge::Switching {
             self.meter.running.switching_s += sample_s;
         }
         let mut crest = (0f64, 0f64);
-        if bridge == Bridge::Open && self.inverter.is_at_rest() {
+        if is_open && self.inverter.is_at_rest() {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);
-            self.adc.advance(&now, sample_s);
-            current(self.adc.current_a());
+            self.adc.filters.set_step(sample_s);
+            self.adc.filters.step(&now);
+            current(self.adc.filters.outputs()[1]);
             self.end_sample(crest, sample_s);
             return self.adc.convert(start[0], start[1]);
         }
-        // Whole steps before the hold, and the share of the step in which it comes.
-        let hold = self.hold_delay_s / self.inverter.dt_s();
-        let whole = (hold as usize).min(STEPS_PER_SAMPLE - 1);
-        let share = hold - whole as f64;
-        let mut around = [start; 2];
+        let mut outputs = [start; STEPS_PER_SAMPLE + 1];
         let mut done = 0;
         while done < STEPS_PER_SAMPLE {
-            let until = match share > 0.0 && done == whole {
-                true => whole + 1,
-                false if done < whole => whole,
-                false => STEPS_PER_SAMPLE,
-            };
-            let bridge = match self.is_tripped() {
-                false => bridge,
+            is_open |= self.is_tripped();
+            let bridge = match is_open {
+                false => self.drive.bridge,
                 true => Bridge::Open,
             };
-            done += self.advance(bridge, until - done, &mut |now, pin_a| {
+            let mut places = outputs[done + 1..].iter_mut();
+            done += self.advance(bridge, STEPS_PER_SAMPLE - done, &mut |now, pins| {
                 let (i_a, coil_v) = (now.i_a.abs(), now.coil_v.abs());
                 // `f64::max` minds NaN, at every step.
                 if i_a > crest.0 {
@@ -426,16 +418,19 @@ impl Plant {
                 if coil_v > crest.1 {
                     crest.1 = coil_v;
                 }
-                current(pin_a);
+                if let Some(place) = places.next() {
+                    *place = pins;
+                }
+                current(pins[1]);
             });
-            if done == whole {
-                around = [self.adc.outputs(); 2];
-            } else if done == whole + 1 {
-                around[1] = self.adc.outputs();
-            }
         }
         self.end_sample(crest, sample_s);
-        let [v_v, i_a] = [0, 1].map(|k| around[0][k] + share * (around[1][k] - around[0][k]));
+        // Whole steps before the hold, and the share of the step in which it comes.
+        let hold = self.hold_delay_s / self.inverter.dt_s();
+        let whole = (hold as usize).min(STEPS_PER_SAMPLE - 1);
+        let share = hold - whole as f64;
+        let (before, after) = (outputs[whole], outputs[whole + 1]);
+        let [v_v, i_a] = [0, 1].map(|k| before[k] + share * (after[k] - before[k]));
         self.adc.convert(v_v, i_a)
     }
 
@@ -447,44 +442,43 @@ impl Plant {
         self.dividers.advance(bus.v(), terminal_v, sample_s);
     }
 
-    /// Advances by up to `steps` integration steps, until the comparator trips; returns the number done.
+    /// Advances by up to `steps` integration steps, until a trip opens the bridge; returns the number done. `seen` gets the
+    /// quantities after each and the outputs of the anti-alias filters.
     fn advance(
         &mut self,
         bridge: Bridge,
         steps: usize,
-        seen: &mut impl FnMut(&Instant, f64),
+        seen: &mut impl FnMut(&Instant, [f64; 2]),
     ) -> usize {
-        if self.inverter.load.is_field() {
+        let is_field = self.inverter.load.is_field();
+        if is_field {
             self.observer.start(&self.inverter);
         }
         let dt_s = self.inverter.dt_s();
-        let Self {
-            adc,
-            inverter,
-            trip_a,
-            comparator,
-            current_sensor,
-            tripped_s,
-            ..
-        } = self;
-        let steps = match inverter.load.is_field() {
+        let (trip_a, sensor) = (self.trip_a, self.current_sensor);
+        // Beside the loop, so that they stay in registers.
+        let (mut filters, mut comparator) = (self.adc.filters, self.comparator);
+        filters.set_step(dt_s);
+        let mut tripped_s = self.tripped_s;
+        let steps = match is_field {
             true => 1,
             false => steps,
         };
-        let done = inverter.run(bridge, steps, |now| {
-            adc.advance(now, dt_s);
-            let pin_a = adc.current_a();
-            let excess_a = current_sensor.output_a(pin_a).abs() - *trip_a;
+        let done = self.inverter.run(bridge, steps, |now| {
+            filters.step(now);
+            let pins = filters.outputs();
+            let excess_a = sensor.output_a(pins[1]).abs() - trip_a;
             let lasted = comparator.advance(excess_a, FAULT_FILTER_S, dt_s);
             if let Some(before_s) = lasted
                 && tripped_s.is_none()
             {
-                *tripped_s = Some(now.t_s - before_s + TRIP_DELAY_S);
+                tripped_s = Some(now.t_s - before_s + TRIP_DELAY_S);
             }
-            seen(now, pin_a);
+            seen(now, pins);
             tripped_s.is_none_or(|at_s| at_s > now.t_s)
         });
-        if self.inverter.load.is_field() {
+        (self.adc.filters, self.comparator, self.tripped_s) = (filters, comparator, tripped_s);
+        if is_field {
             self.observer.push(&self.inverter);
         }
         done

@@ -12,6 +12,25 @@ enum Edge {
     Node(SwitchNode),
 }
 
+/// Node that stays where it is for a while.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SteadyNode {
+    /// Level of the node, 0 or 1.
+    pub level: f64,
+    /// Time after the start of the period until when it stays there, in seconds.
+    pub until_s: f64,
+    /// `true` while only the current's direction holds it, through a diode in the dead time.
+    pub by_diode: bool,
+}
+
+impl SteadyNode {
+    /// Returns `true` while it stays there with this coil current, in ampere.
+    #[inline(always)]
+    pub fn holds(&self, i_a: f64) -> bool {
+        !self.by_diode || (i_a != 0.0 && rail(i_a) == self.level)
+    }
+}
+
 /// Half-bridge; its level is the node voltage as a share of the bus, 0 to 1.
 ///
 /// In a period T the upper gate is on from the dead time to duty · T, the lower gate from duty · T + dead time to T; the duty is
@@ -91,21 +110,33 @@ impl SwitchedHalfBridge {
         self.level
     }
 
-    /// Level at which the node stays from `from_s` after the start of a period of `period_s` on, and until when after it;
-    /// `None` while it moves or a gate is due.
-    pub(super) fn steady(&self, on: bool, period_s: f64, from_s: f64) -> Option<(f64, f64)> {
+    /// Node from `from_s` after the start of a period of `period_s` on, with coil current `i_a`; `None` while it moves or a gate is due.
+    pub(super) fn steady(
+        &self,
+        on: bool,
+        period_s: f64,
+        from_s: f64,
+        i_a: f64,
+    ) -> Option<SteadyNode> {
         let half_s = self.duty * period_s;
-        let (level, until_s) = match from_s {
-            _ if !on => (0.0, period_s),
-            t if t >= half_s + self.dead_s => (0.0, period_s),
-            t if t >= self.dead_s && t < half_s => (1.0, half_s),
-            _ => return None,
+        let (level, until_s, by_diode) = match from_s {
+            _ if !on => (0.0, period_s, false),
+            t if t >= half_s + self.dead_s => (0.0, period_s, false),
+            t if t < self.dead_s => (rail(i_a), self.dead_s, true),
+            t if t < half_s => (1.0, half_s, false),
+            _ => (rail(i_a), half_s + self.dead_s, true),
         };
-        let closed = match &self.edge {
-            Edge::Fixed(_) => true,
+        let as_due = match &self.edge {
+            Edge::Fixed(_) => !by_diode,
+            Edge::Node(node) if by_diode => node.is_open(),
             Edge::Node(node) => node.is_closed(level == 1.0),
         };
-        (closed && self.level == level).then_some((level, until_s))
+        let node = SteadyNode {
+            level,
+            until_s,
+            by_diode,
+        };
+        (as_due && self.level == level && node.holds(i_a)).then_some(node)
     }
 
     /// Advances from `from_s` to `to_s` after the start of a period of `period_s` with coil current `i_a` and bus voltage `bus_v`;
@@ -199,6 +230,14 @@ impl SwitchedHalfBridge {
         let integral = 0.5 * (self.level + end) * moving_s + end * (duration_s - moving_s);
         self.level = end;
         integral
+    }
+}
+
+/// Level to which a current moves the node with both switches open.
+fn rail(i_a: f64) -> f64 {
+    match i_a < 0.0 {
+        true => 1.0,
+        false => 0.0,
     }
 }
 

@@ -34,22 +34,20 @@ const LINE_STEP_RAD: f64 = 0.1;
 /// current comes back through a lower diode of the rectifier (docs/schematic.py).
 const TERMINAL_OHM: f64 = 1.0 / (1.0 / 660e3 + 1.0 / MAINS_CHAIN_OHM);
 
-/// Charging of the DC link, constant over some steps.
+/// Effect of currents on the DC link in a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Charging {
-    /// Number of steps.
+    /// Longest number of steps for which the current of the rectifier may be held.
     pub steps: usize,
     /// Change of the voltage in a step for each ampere, in volt.
     pub volt_per_ampere: f64,
-    /// Current of the rectifier, in ampere.
-    pub rectifier_a: f64,
     /// Conductance across the link, in siemens.
     pub discharge_s: f64,
 }
 
 /// State of a line with inductance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Line {
+pub(super) struct Line {
     /// Current of the line, in ampere.
     line_a: f64,
     /// Voltage between the mains terminals, at C1, in volt.
@@ -210,30 +208,42 @@ impl Bus {
         self.v
     }
 
-    /// Advances line and rectifier over at most `steps` steps of `dt_s` from `t_s` on, beside the present voltage of the link, which
-    /// follows with [`Charging`] and [`Bus::set_v`]. `None` where the link does not integrate a current.
-    pub(super) fn hold(&mut self, t_s: f64, dt_s: f64, steps: usize) -> Option<Charging> {
+    /// Effect of currents on the link in steps of `dt_s`; `None` where the link does not integrate a current.
+    pub(super) fn charging(&self, dt_s: f64) -> Option<Charging> {
         if self.supply_v.is_some() {
             return Some(Charging {
-                steps,
+                steps: usize::MAX,
                 volt_per_ampere: 0.0,
-                rectifier_a: 0.0,
                 discharge_s: 0.0,
             });
         }
-        if !self.has_line() {
-            return None;
-        }
-        let steps = steps.min(1 + (self.line_step_s / dt_s) as usize);
-        let over_s = steps as f64 * dt_s;
-        let voltages = (self.line_v(t_s), self.v);
-        self.line.advance(&self.parts, &self.per, voltages, over_s);
-        Some(Charging {
-            steps,
+        self.has_line().then(|| Charging {
+            steps: 1 + (self.line_step_s / dt_s) as usize,
             volt_per_ampere: dt_s * self.per.link_c,
-            rectifier_a: self.line.rectifier_a.abs(),
             discharge_s: self.per.discharge_r,
         })
+    }
+
+    /// Advances line and rectifier by `over_s` from `t_s` on, beside the present voltage of the link, which follows by [`Charging`] and
+    /// [`Bus::set_v`]. Returns the current of the rectifier, in ampere.
+    pub(super) fn hold(&mut self, t_s: f64, over_s: f64) -> f64 {
+        if self.supply_v.is_some() {
+            return 0.0;
+        }
+        let voltages = (self.line_v(t_s), self.v);
+        self.line.advance(&self.parts, &self.per, voltages, over_s);
+        self.line.rectifier_a.abs()
+    }
+
+    /// State of the line.
+    pub(super) fn line(&self) -> Line {
+        self.line
+    }
+
+    /// Repeats [`Bus::hold`] from `line` on, over a shorter time.
+    pub(super) fn hold_again(&mut self, line: Line, t_s: f64, over_s: f64) {
+        self.line = line;
+        self.hold(t_s, over_s);
     }
 
     /// Ends currents and voltages that have decayed since the mains left.

@@ -5,24 +5,39 @@ use std::f64::consts::TAU;
 /// Sliding Fourier sum over the last switching period: a load that follows it follows the envelope, not the carrier.
 #[derive(Clone, Debug)]
 pub struct FourierEnvelope {
-    cos_sin: Vec<(f64, f64)>,
-    ring: Vec<(f64, f64)>,
+    ring: Vec<Place>,
     sum: (f64, f64),
     /// Number of zero currents in a row.
     zeros: usize,
+    /// Number of periods since the sum was computed anew.
+    periods: u32,
 }
+
+/// Place of a step in the period, with the last current there.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    cos: f64,
+    sin: f64,
+    i_a: f64,
+}
+
+/// Number of periods after which the sum is computed anew, so that rounding errors do not accumulate over minutes.
+const SUMMED_PERIODS: u32 = 64;
 
 impl FourierEnvelope {
     /// Creates one for a period of `steps` integration steps.
     pub fn new(steps: usize) -> Self {
         let step = TAU / steps as f64;
+        let place = |n| Place {
+            cos: libm::cos(step * n as f64),
+            sin: libm::sin(step * n as f64),
+            i_a: 0.0,
+        };
         Self {
-            cos_sin: (0..steps)
-                .map(|n| (libm::cos(step * n as f64), libm::sin(step * n as f64)))
-                .collect(),
-            ring: vec![(0.0, 0.0); steps],
+            ring: (0..steps).map(place).collect(),
             sum: (0.0, 0.0),
             zeros: 0,
+            periods: 0,
         }
     }
 
@@ -32,8 +47,8 @@ impl FourierEnvelope {
         let (re, im) = (self.sum.0 * scale, self.sum.1 * scale);
         let mut new = Self::new(steps);
         for n in 0..steps {
-            let (c, s) = new.cos_sin[n];
-            new.push(n, re * c + im * s);
+            let Place { cos, sin, .. } = new.ring[n];
+            new.push(n, re * cos + im * sin);
         }
         new
     }
@@ -42,17 +57,21 @@ impl FourierEnvelope {
     #[inline]
     pub fn push(&mut self, n: usize, i_a: f64) {
         self.zeros = if i_a == 0.0 { self.zeros + 1 } else { 0 };
-        let (c, s) = self.cos_sin[n];
-        let new = (i_a * c, i_a * s);
-        let old = std::mem::replace(&mut self.ring[n], new);
-        self.sum.0 += new.0 - old.0;
-        self.sum.1 += new.1 - old.1;
+        let place = &mut self.ring[n];
+        let change_a = i_a - std::mem::replace(&mut place.i_a, i_a);
+        self.sum.0 += change_a * place.cos;
+        self.sum.1 += change_a * place.sin;
         if n == 0 {
-            // Recomputed once a period, so that rounding errors do not accumulate over minutes.
-            self.sum = self
-                .ring
-                .iter()
-                .fold((0.0, 0.0), |sum, v| (sum.0 + v.0, sum.1 + v.1));
+            self.end_period();
+        }
+    }
+
+    fn end_period(&mut self) {
+        self.periods += 1;
+        if self.periods == SUMMED_PERIODS {
+            self.periods = 0;
+            let add = |sum: (f64, f64), p: &Place| (sum.0 + p.i_a * p.cos, sum.1 + p.i_a * p.sin);
+            self.sum = self.ring.iter().fold((0.0, 0.0), add);
         }
     }
 

@@ -16,11 +16,30 @@ pub(super) struct LoopState {
     pub bus_v: f64,
 }
 
-/// Step at a constant level of the node: `Circuit::step_flux` and the link's charge, solved for the new state.
+/// Loop around the bridge, constant over some steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct HeldLoop {
+    /// Resistance of the load, in ohm.
+    pub r_ohm: f64,
+    /// Inductance of the load, in henry.
+    pub l_h: f64,
+    /// Resistance outside the coil, in ohm.
+    pub bridge_r_ohm: f64,
+    /// Voltage by which a step charges the capacitor for each ampere of the sum of both ends' currents.
+    pub by_c: f64,
+    /// Level of the node, 0 or 1.
+    pub level: f64,
+}
+
+/// Step of a [`HeldLoop`]: `Circuit::step_flux` and the link's charge, solved for the new state.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LinearStep {
-    level: f64,
-    by_c: f64,
+    held: HeldLoop,
+    volt_per_ampere: f64,
+    /// Mean voltage of the coil by its new current and by the old one: R i + L di/dt.
+    coil_ohm: [f64; 2],
+    /// Change of the new current for each volt of the new link.
+    by_bus: f64,
     keep: f64,
     gain: f64,
     /// New link voltage by current, current before and link voltage; and its constant part.
@@ -30,39 +49,57 @@ pub(super) struct LinearStep {
 }
 
 impl LinearStep {
-    /// Creates one of `dt_s` for a loop of resistance and inductance `r_ohm`, `l_h` and a capacitor that a step charges by `by_c` volt
-    /// for each ampere of the sum of both ends' currents.
-    pub fn new(
-        (r_ohm, l_h, by_c): (f64, f64, f64),
-        dt_s: f64,
-        level: f64,
-        link: &Charging,
-    ) -> Self {
-        let drop = 0.5 * dt_s * (r_ohm + by_c);
+    /// Creates one of `dt_s`.
+    pub fn new(held: &HeldLoop, dt_s: f64, link: &Charging) -> Self {
+        let &HeldLoop {
+            r_ohm, l_h, level, ..
+        } = held;
+        let drop = 0.5 * dt_s * (r_ohm + held.bridge_r_ohm + held.by_c);
         let per_l = 1.0 / (l_h + drop);
         let (keep, gain) = ((l_h - drop) * per_l, dt_s * per_l);
+        let flux_ohm = l_h / dt_s;
         let drawn = link.volt_per_ampere * level;
         let bus = [
             -1.5 * drawn,
             0.5 * drawn,
             1.0 - link.volt_per_ampere * link.discharge_s,
-            link.volt_per_ampere * link.rectifier_a,
+            0.0,
         ];
         let by_bus = 0.5 * gain * level;
         let current = [
             keep + by_bus * bus[0],
             by_bus * bus[1],
             by_bus * (1.0 + bus[2]),
-            by_bus * bus[3],
+            0.0,
         ];
         Self {
-            level,
-            by_c,
+            held: *held,
+            volt_per_ampere: link.volt_per_ampere,
+            coil_ohm: [0.5 * r_ohm + flux_ohm, 0.5 * r_ohm - flux_ohm],
+            by_bus,
             keep,
             gain,
             bus,
             current,
         }
+    }
+
+    /// Sets the current of the rectifier, in ampere; it is 0 unless set.
+    pub fn set_rectifier(&mut self, rectifier_a: f64) {
+        self.bus[3] = self.volt_per_ampere * rectifier_a;
+        self.current[3] = self.by_bus * self.bus[3];
+    }
+
+    /// Mean voltage of the coil between two states, in volt.
+    #[inline(always)]
+    pub fn coil_mean_v(&self, old: &LoopState, new: &LoopState) -> f64 {
+        self.coil_ohm[0] * new.i_a + self.coil_ohm[1] * old.i_a
+    }
+
+    /// Voltage of the node, in volt.
+    #[inline(always)]
+    pub fn node_v(&self, now: &LoopState) -> f64 {
+        now.bus_v * self.held.level - self.held.bridge_r_ohm * now.i_a
     }
 
     /// State a step later.
@@ -75,12 +112,12 @@ impl LinearStep {
         if bus_v < 0.0 {
             // The lower diodes keep it from going negative.
             bus_v = 0.0;
-            i_a = self.keep * old.i_a + self.gain * (0.5 * self.level * old.bus_v - old.v_c_v);
+            i_a = self.keep * old.i_a + self.gain * (0.5 * self.held.level * old.bus_v - old.v_c_v);
         }
         LoopState {
             i_a,
             before_a: old.i_a,
-            v_c_v: old.v_c_v + self.by_c * (old.i_a + i_a),
+            v_c_v: old.v_c_v + self.held.by_c * (old.i_a + i_a),
             bus_v,
         }
     }
@@ -99,7 +136,6 @@ mod tests {
             let link = Charging {
                 steps: 6,
                 volt_per_ampere: dt_s / 4.7e-6,
-                rectifier_a: 7.0,
                 discharge_s: 1.0 / 94e3,
             };
             let old = LoopState {
@@ -114,11 +150,19 @@ mod tests {
                 ..Circuit::default()
             };
             let drawn_a = level * (1.5 * i_a - 0.5 * old.before_a);
-            let into_a = link.rectifier_a - drawn_a - bus_v * link.discharge_s;
+            let into_a = 7.0 - drawn_a - bus_v * link.discharge_s;
             let new_bus_v = (bus_v + link.volt_per_ampere * into_a).max(0.0);
             circuit.step(0.5 * (bus_v + new_bus_v) * level, r_ohm, l_h, dt_s);
-            let by_c = circuit.volt_per_ampere(dt_s);
-            let new = LinearStep::new((r_ohm, l_h, by_c), dt_s, level, &link).advance(&old);
+            let held = HeldLoop {
+                r_ohm,
+                l_h,
+                bridge_r_ohm: 0.0,
+                by_c: circuit.volt_per_ampere(dt_s),
+                level,
+            };
+            let mut step = LinearStep::new(&held, dt_s, &link);
+            step.set_rectifier(7.0);
+            let new = step.advance(&old);
             assert_eq!(new_bus_v == 0.0, bus_v < 1.0, "{level} {bus_v}");
             assert_eq!(new.before_a, i_a);
             let pairs = [
@@ -129,6 +173,10 @@ mod tests {
             for (got, expected) in pairs {
                 assert!((got - expected).abs() < 1e-12 * 310.0, "{got} {expected}");
             }
+            let node_v = 0.5 * (bus_v + new_bus_v) * level;
+            let coil_v = node_v - 0.5 * (old.v_c_v + new.v_c_v);
+            let error_v = step.coil_mean_v(&old, &new) - coil_v;
+            assert!(error_v.abs() < 1e-9, "{error_v}");
         }
     }
 }

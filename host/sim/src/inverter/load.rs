@@ -321,14 +321,20 @@ impl LoadState {
         }
     }
 
-    /// R in ohm and L in henry of a law over the next `steps` steps, at most [`LAW_STEPS`], with its envelope, which the caller
-    /// moves; `None` for the field model.
-    pub(super) fn hold(&mut self, steps: usize) -> Option<(f64, f64, &mut FourierEnvelope)> {
-        let Self::Law(followed) = self else {
-            return None;
-        };
-        let (r_ohm, l_h) = followed.hold(steps as u32);
-        Some((r_ohm, l_h, &mut followed.envelope))
+    /// R in ohm and L in henry of a law over the next `steps` steps, at most [`LAW_STEPS`]; `None` for the field model.
+    pub(super) fn hold(&mut self, steps: usize) -> Option<(f64, f64)> {
+        match self {
+            Self::Law(followed) => Some(followed.hold(steps as u32)),
+            Self::Field { .. } => None,
+        }
+    }
+
+    /// Envelope of a law, which the caller moves meanwhile; `None` for the field model.
+    pub(super) fn envelope(&mut self) -> Option<&mut FourierEnvelope> {
+        match self {
+            Self::Law(followed) => Some(&mut followed.envelope),
+            Self::Field { .. } => None,
+        }
     }
 
     /// Completes the step whose prediction was `step`, with the new current at boundary `n` of the period.

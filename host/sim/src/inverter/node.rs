@@ -75,6 +75,11 @@ impl SwitchNode {
         self.gate == Some(if upper { Gate::Upper } else { Gate::Lower })
     }
 
+    /// Returns `true` if both switches are open.
+    pub fn is_open(&self) -> bool {
+        self.gate.is_none()
+    }
+
     /// Opens both switches.
     pub fn open_gates(&mut self) {
         self.gate = None;
