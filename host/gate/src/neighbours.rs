@@ -1,5 +1,7 @@
 //! Removal of other hobs' tones from a capture, before its sensors are calibrated: a tone would look like a fault of a sensor.
 
+use std::borrow::Cow;
+
 use ihd_identify::{IdentifyOptions, Method, run};
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Capture, Remark, Segment, Severity};
@@ -47,7 +49,7 @@ pub enum Neighbours {
 /// # Errors
 /// [`SurveyError`] if the capture holds nothing that can be identified without them.
 pub fn remove(
-    capture: &Capture,
+    capture: &mut Cow<'_, Capture>,
     survey: &Survey,
     hints: &Hints,
 ) -> Result<Neighbours, SurveyError> {
@@ -72,47 +74,52 @@ pub fn remove(
 }
 
 /// Removes the tones that the spans of a survey show.
-fn remove_from(capture: &Capture, survey: &Survey) -> Neighbours {
+fn remove_from(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Neighbours {
     let settings = IdentifyOptions::default();
-    let mut out: Option<WithoutNeighbours> = None;
     let mut all = Vec::with_capacity(survey.spans.len());
+    let mut costly = Vec::new();
     // Clipping makes tones of its own, and without them its plateau is gone.
     let clipping = |f: &Finding| matches!(f, Finding::Clipping { .. });
     let clips = survey.findings.iter().any(clipping);
-    for span in &survey.spans {
-        let segment = survey.segment(capture, span);
-        let found = interference::find(&segment, WhiteNoise::measure(&segment));
+    survey.for_segments(capture, |index, segment| {
+        let noise = survey.noise_of(index);
+        let noise = noise.unwrap_or_else(|| WhiteNoise::measure(segment));
+        let found = interference::find(segment, noise);
         let tones: Vec<Tone> = found.neighbours().cloned().collect();
         all.push(found);
         if tones.is_empty() || clips {
-            continue;
+            return;
         }
-        let clean = interference::remove_tones(&segment, &tones);
+        let clean = interference::remove_tones(segment, &tones);
         let by = |segment: &Segment| run(Method::LeastSquares, segment, &settings).ok();
-        let remark = by(&segment).zip(by(&clean)).and_then(|(with, without)| {
+        let remark = by(segment).zip(by(&clean)).and_then(|(with, without)| {
             // Tones would hide a step of the load, which no tone makes.
             let steps = with.remarks.iter().any(|r| r.code == "load_step");
-            let remark = || interference::remark(&segment, &tones, &with, &without, true);
+            let remark = || interference::remark(segment, &tones, &with, &without, true);
             (!steps).then(remark).flatten()
         });
         // A tone that costs nothing stays.
-        let Some(remark) = remark else {
-            continue;
-        };
-        let out = out.get_or_insert_with(|| WithoutNeighbours {
-            capture: capture.clone(),
-            remarks: Vec::new(),
-        });
+        costly.extend(remark.map(|remark| (&survey.spans[index], tones, remark)));
+    });
+    if costly.is_empty() {
+        return Neighbours::Absent(all);
+    }
+    let mut out = WithoutNeighbours {
+        capture: Capture::clone(capture),
+        remarks: Vec::new(),
+    };
+    for (span, tones, remark) in costly {
+        let v_v = out
+            .capture
+            .v_v
+            .get_mut(span.first..span.first + span.samples);
+        let v_v = v_v.unwrap_or_default();
         for tone in &tones {
-            tone.each(&segment, span.samples, |k, v| {
-                if let Some(x) = out.capture.v_v.get_mut(span.first + k) {
-                    *x -= v as f32;
-                }
+            tone.each((span.f_sw_hz, span.dt_s), v_v.len(), |k, v| {
+                v_v[k] -= v as f32
             });
         }
         out.remarks.push((span.t0_s, span.end_s(), remark));
     }
-    out.map_or(Neighbours::Absent(all), |out| {
-        Neighbours::Removed(Box::new(out))
-    })
+    Neighbours::Removed(Box::new(out))
 }

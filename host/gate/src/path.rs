@@ -128,11 +128,13 @@ fn examine_samples(
         progress("reference", outcomes.len(), total);
         let remarks = prepared.remarks_on(index, segment);
         let known = prepared.take_interference(index);
-        let preprocessing = Preprocessing::new(segment);
+        let noise = prepared.survey.noise_of(index);
+        let preprocessing = Preprocessing::with_noise(segment, noise);
         let reference = ReferenceResults::compute(segment, &preprocessing, known);
         let shared = prepared.shared_sigma(segment.f_sw_hz);
+        let lawful = preprocessing.as_ref().ok().filter(|_| is_law(&reference));
         let of_segment =
-            is_law(&reference).then(|| PoolPhasors::demodulate(segment).with_shared(shared));
+            lawful.map(|p| PoolPhasors::demodulate(segment, p.noise()).with_shared(shared));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
         for &method in request.methods {

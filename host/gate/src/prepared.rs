@@ -49,7 +49,7 @@ impl<'a> PreparedCapture<'a> {
         let mut capture = repaired.capture;
         let mut survey = repaired.survey;
         let (mut removed, mut interference) = (None, Vec::new());
-        match neighbours::remove(&capture, &survey, hints)? {
+        match neighbours::remove(&mut capture, &survey, hints)? {
             Neighbours::Absent(of_spans) => interference = of_spans,
             Neighbours::Removed(mut without) => {
                 capture = Cow::Owned(std::mem::take(&mut without.capture));

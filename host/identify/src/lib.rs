@@ -15,6 +15,7 @@
 
 pub mod accuracy;
 pub mod carrier_inputs;
+mod centred_harmonics;
 pub mod ekf;
 pub mod firmware;
 pub mod kf;
@@ -195,11 +196,19 @@ impl Preprocessing {
     /// # Errors
     /// [`SegmentError`] as [`Segment::check`].
     pub fn new(segment: &Segment) -> Result<Self, SegmentError> {
+        Self::with_noise(segment, None)
+    }
+
+    /// Preprocesses a segment whose noise may be known.
+    ///
+    /// # Errors
+    /// As [`Preprocessing::new`].
+    pub fn with_noise(segment: &Segment, known: Option<WhiteNoise>) -> Result<Self, SegmentError> {
         segment.check()?;
         Ok(Self {
             carrier: sweep::moving(segment),
             steps: steps::Steps::detect(segment),
-            noise: WhiteNoise::measure(segment),
+            noise: known.unwrap_or_else(|| WhiteNoise::measure(segment)),
         })
     }
 

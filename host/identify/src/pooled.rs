@@ -92,7 +92,7 @@ struct Mean {
     variance: f64,
 }
 
-fn means(segment: &Segment) -> Vec<Mean> {
+fn means(segment: &Segment, noise: WhiteNoise) -> Vec<Mean> {
     let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
     let boxcar = Boxcar::fitting(per_period, f_sw_hz, BOXCAR_PERIODS / f_sw_hz);
     let phasors = demodulate(segment, boxcar);
@@ -103,7 +103,6 @@ fn means(segment: &Segment) -> Vec<Mean> {
     let step_s = stride * segment.dt_s;
     let omega = TAU * f_sw_hz;
     let group = ((MEAN_S / step_s).round() as usize).max(1);
-    let noise = WhiteNoise::measure(segment);
     let samples = group as f64 * stride;
     let half_s = segment.half_cycle_s();
     let mut out = Vec::new();
@@ -281,10 +280,10 @@ pub struct PoolPhasors {
 }
 
 impl PoolPhasors {
-    /// Demodulates a segment.
-    pub fn demodulate(segment: &Segment) -> Self {
+    /// Demodulates a segment; `noise` is its.
+    pub fn demodulate(segment: &Segment, noise: WhiteNoise) -> Self {
         Self {
-            means: means(segment),
+            means: means(segment, noise),
             shared: SharedSigma::default(),
             f_sw_hz: segment.f_sw_hz,
             span_s: (segment.t0_s, segment.t_s(segment.len())),

@@ -7,20 +7,20 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use ihd_signal::correlation::Correlator;
-use ihd_signal::vectorised::vectorised;
+use ihd_signal::vectorised::{dot, vectorised};
 use ihd_signal::{Samples, Segment};
 use nalgebra::Complex;
 
 use super::Estimate;
+use super::centred_harmonics::CentredHarmonics;
 use super::lockin::{Boxcar, for_chunks};
 use super::trajectory::TrajectoryCursor;
 
 /// Number of odd harmonics, 1 to 31: the paper's NMSE of the voltage needs about that many.
 const ORDERS: usize = 16;
 
-/// Partial sums of an NMSE.
-const SUMS: usize = 8;
+/// Samples that are compared together.
+const PART: usize = 256;
 
 /// Adds the waveforms that the estimator has not reconstructed itself, and the errors of all.
 /// An estimate without points is left unchanged.
@@ -84,17 +84,16 @@ fn covered(segment: &Segment, estimate: &Estimate) -> Range<usize> {
 /// Σ(x̂ − x)²/Σx² over a range of samples.
 struct Nmse {
     range: Range<usize>,
-    /// Partial sums, so that a sum does not wait for the one before.
-    errors: [f64; SUMS],
-    squares: [f64; SUMS],
+    error: f64,
+    square: f64,
 }
 
 impl Nmse {
     fn over(range: Range<usize>) -> Self {
         Self {
             range,
-            errors: [0.0; SUMS],
-            squares: [0.0; SUMS],
+            error: 0.0,
+            square: 0.0,
         }
     }
 
@@ -102,20 +101,26 @@ impl Nmse {
     fn add(&mut self, first: usize, estimated: &[f32], right: &[f64]) {
         let within = |k: usize| k.clamp(first, first + estimated.len()) - first;
         let range = within(self.range.start)..within(self.range.end);
-        let (errors, squares) = (&mut self.errors, &mut self.squares);
+        let estimated = estimated[range.clone()].chunks(PART);
+        let mut parts = estimated.zip(right[range].chunks(PART));
+        let (mut error, mut sums) = ([0.0; PART], [0.0; 2]);
         vectorised(
             #[inline(always)]
             || {
-                let all = estimated[range.clone()].chunks(SUMS);
-                for (estimated, right) in all.zip(right[range.clone()].chunks(SUMS)) {
-                    for (k, (estimated, right)) in estimated.iter().zip(right).enumerate() {
-                        let error = f64::from(*estimated) - right;
-                        errors[k] += error * error;
-                        squares[k] += right * right;
+                for (estimated, right) in parts.by_ref() {
+                    let error = &mut error[..right.len()];
+                    for (error, (estimated, right)) in
+                        error.iter_mut().zip(estimated.iter().zip(right))
+                    {
+                        *error = f64::from(*estimated) - right;
                     }
+                    sums[0] += dot(error, error);
+                    sums[1] += dot(right, right);
                 }
             },
         );
+        self.error += sums[0];
+        self.square += sums[1];
     }
 
     fn add_all(&mut self, estimated: &[f32], right: &Samples) {
@@ -132,8 +137,7 @@ impl Nmse {
 
     /// NMSE in percent; `None` if there are no samples, or the result is not finite.
     fn pct(&self) -> Option<f64> {
-        let sum = |parts: &[f64; SUMS]| parts.iter().sum::<f64>();
-        let nmse = 100.0 * sum(&self.errors) / sum(&self.squares);
+        let nmse = 100.0 * self.error / self.square;
         nmse.is_finite().then_some(nmse)
     }
 }
@@ -180,13 +184,13 @@ fn harmonic_voltage(
     let per_period = segment.samples_per_period();
     let length = Boxcar::fitting(per_period, segment.f_sw_hz, 1.0 / segment.f_sw_hz).samples();
     let orders: [f64; ORDERS] = std::array::from_fn(|k| (2 * k + 1) as f64);
-    let correlator = Correlator::new(segment, length, orders);
+    let windows = CentredHarmonics::new(segment.f_sw_hz * segment.dt_s, length, orders);
     let omega = TAU * segment.f_sw_hz;
     let mut voltage = vec![0.0; length];
     let mut phasors = [Complex::new(0.0, 0.0); ORDERS];
     for_chunks(segment, length, |first, v, i| {
         if i.len() == length {
-            let sums = correlator.channel(first, i);
+            let sums = windows.sums(first, i);
             let middle_s = segment.t_s(first) + 0.5 * length as f64 * segment.dt_s;
             let (r, l) = trajectory.r_l(middle_s);
             for (h, phasor) in phasors.iter_mut().enumerate() {
@@ -195,7 +199,7 @@ fn harmonic_voltage(
                 *phasor = sums[h] * share * Complex::new(r, orders[h] * omega * l);
             }
         }
-        correlator.synthesise(first, &phasors, &mut voltage[..i.len()]);
+        windows.synthesise(first, &phasors, &mut voltage);
         sink(first, &voltage[..i.len()], v);
     });
 }

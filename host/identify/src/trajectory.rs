@@ -8,8 +8,22 @@ use super::Estimate;
 pub struct TrajectoryCursor<'a> {
     estimate: &'a Estimate,
     at: usize,
-    /// Reciprocal of the time from the point at `at` to the next in 1/s, computed at the first use; 0 if there is no next.
-    per_s: Option<f64>,
+    /// R and L from the point at `at` to the next, computed at the first use.
+    between: Option<Between>,
+}
+
+/// R and L between two points.
+#[derive(Clone, Copy, Debug)]
+struct Between {
+    /// Time of the first point in seconds, and of the next; infinite if there is none.
+    from_s: f64,
+    until_s: f64,
+    /// Reciprocal of the time between them in 1/s; 0 if there is no next.
+    per_s: f64,
+    /// R in ohm of the first point, and its change to the next.
+    r_ohm: (f64, f64),
+    /// L in henry of the first point, and its change to the next.
+    l_h: (f64, f64),
 }
 
 impl<'a> TrajectoryCursor<'a> {
@@ -19,17 +33,33 @@ impl<'a> TrajectoryCursor<'a> {
         (at < estimate.t_s.len()).then_some(Self {
             estimate,
             at,
-            per_s: None,
+            between: None,
         })
     }
 
     /// R in ohm and L in henry; times must ascend from call to call.
+    #[inline]
     pub fn r_l(&mut self, t_s: f64) -> (f64, f64) {
-        let place = self.place(t_s);
-        (
-            place.between(&self.estimate.r_ohm),
-            place.between(&self.estimate.l_h),
-        )
+        let known = self.between.filter(|between| t_s < between.until_s);
+        let between = known.unwrap_or_else(|| self.between_at(t_s));
+        let w = ((t_s - between.from_s) * between.per_s).clamp(0.0, 1.0);
+        let at = |(first, change): (f64, f64)| first + w * change;
+        (at(between.r_ohm), at(between.l_h))
+    }
+
+    /// R and L about a time, kept for the following ones.
+    fn between_at(&mut self, t_s: f64) -> Between {
+        let Place { a, b, .. } = self.place(t_s);
+        let times = &self.estimate.t_s;
+        let span = times[b] - times[a];
+        let of = |x: &[f64]| (x[a], x[b] - x[a]);
+        *self.between.insert(Between {
+            from_s: times[a],
+            until_s: if b > a { times[b] } else { f64::INFINITY },
+            per_s: if span > 0.0 { 1.0 / span } else { 0.0 },
+            r_ohm: of(&self.estimate.r_ohm),
+            l_h: of(&self.estimate.l_h),
+        })
     }
 
     /// P/I_rms² in ohm; times must ascend from call to call. `None` if the estimate has none.
@@ -50,12 +80,10 @@ impl<'a> TrajectoryCursor<'a> {
         let times = &self.estimate.t_s;
         while self.at + 1 < times.len() && times[self.at + 1] <= t_s {
             self.at += 1;
-            self.per_s = None;
         }
         let (a, b) = (self.at, (self.at + 1).min(times.len() - 1));
         let span = times[b] - times[a];
-        let inverse = || if span > 0.0 { 1.0 / span } else { 0.0 };
-        let per_s = *self.per_s.get_or_insert_with(inverse);
+        let per_s = if span > 0.0 { 1.0 / span } else { 0.0 };
         let w = ((t_s - times[a]) * per_s).clamp(0.0, 1.0);
         Place { a, b, w }
     }

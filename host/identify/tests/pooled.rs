@@ -4,6 +4,7 @@ use std::f64::consts::{PI, TAU};
 
 use ihd_identify::pooled::{PoolPhasors, pool_phasors};
 use ihd_signal::Segment;
+use ihd_signal::noise::WhiteNoise;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -82,9 +83,13 @@ fn segment(half_cycles: usize, rate_hz: f64, drift: Drift, seed: u64) -> Segment
     }
 }
 
+fn demodulated(segment: &Segment) -> PoolPhasors {
+    PoolPhasors::demodulate(segment, WhiteNoise::measure(segment))
+}
+
 /// Mean errors of R and L in percent over the middle 80 % of a half-cycle, and root mean squares of error over σ.
 fn errors(segment: &Segment) -> ([f64; 2], [f64; 2]) {
-    let pooled = pool_phasors(&PoolPhasors::demodulate(segment)).expect("half-cycles enough");
+    let pooled = pool_phasors(&demodulated(segment)).expect("half-cycles enough");
     let (mut pct, mut squares) = ([0.0; 2], [0.0; 2]);
     let n = 400;
     for k in 0..n {
@@ -149,11 +154,11 @@ fn parts_pool_as_the_whole_does() {
             let mut part = whole.part(from, to);
             // A tenth of a hertz, as a survey may be off.
             part.f_sw_hz += 0.1 * (k as f64 - 1.0);
-            PoolPhasors::demodulate(&part)
+            demodulated(&part)
         })
         .collect();
     let joined = pool_phasors(&PoolPhasors::joined(&parts).expect("three")).expect("a law");
-    let whole = pool_phasors(&PoolPhasors::demodulate(&whole)).expect("a law");
+    let whole = pool_phasors(&demodulated(&whole)).expect("a law");
     for i_a in [8.0, 15.0, 30.0, 43.0] {
         for (a, b) in joined.at(i_a).into_iter().zip(whole.at(i_a)) {
             assert!((a.0 - b.0).abs() < b.1, "{i_a} A: {a:?} {b:?}");

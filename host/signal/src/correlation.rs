@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 use nalgebra::Complex;
 
 use super::Segment;
-use super::vectorised::vectorised;
+use super::vectorised::{dot, vectorised};
 
 /// Blocks after which [`BlockTurns`] computes the phase anew.
 const RENEWAL_BLOCKS: usize = 64;
@@ -110,11 +110,18 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         v_v: &[f64],
         i_a: &[f64],
     ) -> HarmonicSums<ORDERS> {
-        let [v_sums, i_sums] = vectorised(
+        let (cos, sin) = (&self.cos, &self.minus_sin);
+        let sums = vectorised(
             #[inline(always)]
-            || [self.sums(v_v), self.sums(i_a)],
+            || {
+                [
+                    sums_of(v_v, cos),
+                    sums_of(v_v, sin),
+                    sums_of(i_a, cos),
+                    sums_of(i_a, sin),
+                ]
+            },
         );
-        let sums = [v_sums[0], v_sums[1], i_sums[0], i_sums[1]];
         let phasor = |re: &[f64; ORDERS], im: &[f64; ORDERS]| {
             std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
         };
@@ -125,70 +132,37 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
     }
 }
 
-impl<const ORDERS: usize> Correlator<ORDERS> {
-    /// Sums of one channel over a block that begins with sample `first` of the segment, in its unit.
-    pub fn channel(&self, first: usize, x: &[f64]) -> [Complex<f64>; ORDERS] {
-        let [re, im] = vectorised(
-            #[inline(always)]
-            || self.sums(x),
-        );
-        let turn = self.turn(first);
-        std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
+/// Σ x·w of each order: one sample's orders after the other in `weights`.
+#[inline(always)]
+fn sums_of<const ORDERS: usize>(x: &[f64], weights: &[[f64; ORDERS]]) -> [f64; ORDERS] {
+    if ORDERS == 1 {
+        return [dot(weights.as_flattened(), x); ORDERS];
     }
-
-    /// Σ x·cos and −Σ x·sin of each order, the angle counted from the first sample: four samples at a time.
-    #[inline(always)]
-    fn sums(&self, x: &[f64]) -> [[f64; ORDERS]; 2] {
-        let mut sums = [[[0.0; ORDERS]; 4]; 2];
-        let tables = self.cos.chunks(4).zip(self.minus_sin.chunks(4));
-        for (x, (cos, sin)) in x.chunks(4).zip(tables) {
-            let samples = x.iter().zip(cos.iter().zip(sin));
-            for (lane, (x, (cos, sin))) in samples.enumerate() {
-                for h in 0..ORDERS {
-                    sums[0][lane][h] += x * cos[h];
-                    sums[1][lane][h] += x * sin[h];
-                }
+    // Two samples at a time.
+    let x = &x[..x.len().min(weights.len())];
+    let (pairs, last) = x.as_chunks::<2>();
+    let (weight_pairs, _) = weights.as_chunks::<2>();
+    let mut sums = [[0.0; ORDERS]; 2];
+    for (x, weights) in pairs.iter().zip(weight_pairs) {
+        for lane in 0..2 {
+            for h in 0..ORDERS {
+                sums[lane][h] += x[lane] * weights[lane][h];
             }
         }
-        sums.map(|[a, b, c, d]| std::array::from_fn(|h| (a[h] + b[h]) + (c[h] + d[h])))
     }
-
-    /// Writes Σ Re{X_h·e^(jhωt)}, in the phasors' unit, to samples from `first` of the segment on, at most a block.
-    pub fn synthesise(&self, first: usize, phasors: &[Complex<f64>; ORDERS], out: &mut [f32]) {
-        let turn = self.turn(first);
-        let at: [Complex<f64>; ORDERS] = std::array::from_fn(|h| phasors[h] * turn[h].conj());
-        vectorised(
-            #[inline(always)]
-            || {
-                for (out, (cos, sin)) in out.iter_mut().zip(self.cos.iter().zip(&self.minus_sin)) {
-                    // Four partial sums, which the compiler can vectorise.
-                    let mut sums = [0.0; 4];
-                    for h in 0..ORDERS {
-                        sums[h % 4] += at[h].re * cos[h] + at[h].im * sin[h];
-                    }
-                    *out = ((sums[0] + sums[1]) + (sums[2] + sums[3])) as f32;
-                }
-            },
-        );
+    for (x, weights) in last.iter().zip(&weights[2 * pairs.len()..]) {
+        for h in 0..ORDERS {
+            sums[0][h] += x * weights[h];
+        }
     }
+    std::array::from_fn(|h| sums[0][h] + sums[1][h])
 }
 
-/// Σ x·w of each of two weights, in eight sums each.
+/// Σ x·w of each of two weights.
 pub fn weighted_sums<T: Copy + Into<f64>>(x: &[T], weights: [&[f64]; 2]) -> [f64; 2] {
     vectorised(
         #[inline(always)]
-        || {
-            let mut sums = [[0.0; 8]; 2];
-            let blocks = weights[0].chunks(8).zip(weights[1].chunks(8));
-            for (x, (a, b)) in x.chunks(8).zip(blocks) {
-                for (k, (x, (a, b))) in x.iter().zip(a.iter().zip(b)).enumerate() {
-                    let x: f64 = (*x).into();
-                    sums[0][k] += x * a;
-                    sums[1][k] += x * b;
-                }
-            }
-            sums.map(|lanes| lanes.iter().sum())
-        },
+        || weights.map(|weights| dot(weights, x)),
     )
 }
 

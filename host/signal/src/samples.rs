@@ -4,6 +4,8 @@
 use std::ops::{Deref, DerefMut, Range};
 use std::sync::{Arc, OnceLock};
 
+use crate::vectorised::vectorised;
+
 /// Samples of one channel.
 #[derive(Clone, Debug)]
 pub struct Samples(Stored);
@@ -49,9 +51,14 @@ impl Samples {
 
     /// Stores single-precision samples without an offset.
     pub fn singles(samples: Vec<f32>) -> Self {
+        Self::shared(Arc::new(samples))
+    }
+
+    /// Takes shared single-precision samples without an offset.
+    pub fn shared(samples: Arc<Vec<f32>>) -> Self {
         let range = 0..samples.len();
         Self(Stored::Singles(Singles {
-            samples: Arc::new(samples),
+            samples,
             range,
             offset: 0.0,
             doubles: OnceLock::new(),
@@ -87,9 +94,16 @@ impl Samples {
         match &self.0 {
             Stored::Doubles(x) => &x[range],
             Stored::Singles(x) => {
-                let less = |y: &f32| f64::from(*y) - x.offset;
-                buffer.clear();
-                buffer.extend(x.raw()[range].iter().map(less));
+                buffer.resize(range.len(), 0.0);
+                let (raw, offset) = (&x.raw()[range], x.offset);
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for (y, x) in buffer.iter_mut().zip(raw) {
+                            *y = f64::from(*x) - offset;
+                        }
+                    },
+                );
                 buffer
             }
         }

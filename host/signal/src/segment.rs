@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use crate::vectorised::vectorised;
+use crate::vectorised::{self, dot, vectorised};
 use crate::{RawSamples, Samples};
 
 /// Fewest switching periods that an estimator can work on.
@@ -270,9 +270,10 @@ fn check_values<T: Copy + Into<f64>>(
     let mut loud = false;
     for (block, x) in x.chunks(BLOCK).enumerate() {
         // The comparison is false for NaN.
-        let sound = x
-            .iter()
-            .fold(true, |sound, x| sound & (value(*x).abs() <= MAX_SAMPLE));
+        let sound = vectorised(
+            #[inline(always)]
+            || (x.iter()).fold(true, |sound, x| sound & (value(*x).abs() <= MAX_SAMPLE)),
+        );
         if !sound {
             let bad = |x: &T| value(*x).is_nan() || value(*x).abs() > MAX_SAMPLE;
             let index = x.iter().position(bad).unwrap_or(0);
@@ -303,7 +304,6 @@ fn weighted_mean(x: &Samples) -> f64 {
 }
 
 fn hann_mean<T: Copy + Into<f64>>(x: &[T], offset: f64) -> f64 {
-    const LANES: usize = 8;
     // Samples of the tables, and from one sine and cosine to the next.
     const TABLE: usize = 512;
     let turns = |k: f64| TAU * (k + 0.5) / x.len().max(1) as f64;
@@ -314,28 +314,25 @@ fn hann_mean<T: Copy + Into<f64>>(x: &[T], offset: f64) -> f64 {
             .collect()
     };
     let (cos, sin) = (table(libm::cos), table(libm::sin));
+    let (mut less, mut weights) = ([0.0; TABLE], [0.0; TABLE]);
     let (mut sum, mut all) = (0.0, 0.0);
     for (block, x) in x.chunks(TABLE).enumerate() {
         let (s, c) = libm::sincos(turns((block * TABLE) as f64));
-        let [weighted, weights] = vectorised(
+        let [weighted, weight] = vectorised(
             #[inline(always)]
             || {
-                let mut sums = [[0.0; LANES]; 2];
-                let blocks = x
-                    .chunks(LANES)
-                    .zip(cos.chunks(LANES).zip(sin.chunks(LANES)));
-                for (x, (cos, sin)) in blocks {
-                    for (k, x) in x.iter().enumerate() {
-                        let weight = 1.0 - (c * cos[k] - s * sin[k]);
-                        sums[0][k] += weight * ((*x).into() - offset);
-                        sums[1][k] += weight;
-                    }
+                let (less, weights) = (&mut less[..x.len()], &mut weights[..x.len()]);
+                for (y, x) in less.iter_mut().zip(x) {
+                    *y = (*x).into() - offset;
                 }
-                sums.map(|lanes| lanes.iter().sum::<f64>())
+                for (y, (cos, sin)) in weights.iter_mut().zip(cos.iter().zip(&sin)) {
+                    *y = 1.0 - (c * cos - s * sin);
+                }
+                [dot(weights, less), vectorised::sum(weights)]
             },
         );
         sum += weighted;
-        all += weights;
+        all += weight;
     }
     if all > 0.0 { sum / all } else { 0.0 }
 }

@@ -7,6 +7,8 @@ use pulp::{Arch, Simd, WithSimd};
 /// Runs `f` compiled for all instructions that `pulp` detects. All functions that `f` calls must be inlined, and so must `f`
 /// itself, `#[inline(always)] || …`; otherwise they use only the oldest instructions.
 ///
+/// One loop for each sum: of two sums in one loop the compiler makes pairs of numbers instead of long vectors.
+///
 /// Sums that must have the same digits everywhere need a fixed number of partial sums, with an explicit `mul_add` or without
 /// any.
 #[inline(always)]
@@ -28,6 +30,22 @@ pub fn dot<T: Copy + Into<f64>>(a: &[f64], b: &[T]) -> f64 {
     }
     for ((sum, a), b) in sums.iter_mut().zip(a_rest).zip(b_rest) {
         *sum += a * (*b).into();
+    }
+    sums.iter().sum()
+}
+
+/// Sum as eight partial sums, for use within [`vectorised`]; the digits are the same for any instructions.
+#[inline(always)]
+pub fn sum<T: Copy + Into<f64>>(x: &[T]) -> f64 {
+    let (whole, rest) = x.as_chunks::<8>();
+    let mut sums = [0.0; 8];
+    for x in whole {
+        for k in 0..8 {
+            sums[k] += x[k].into();
+        }
+    }
+    for (sum, x) in sums.iter_mut().zip(rest) {
+        *sum += (*x).into();
     }
     sums.iter().sum()
 }
@@ -69,7 +87,20 @@ impl<R, F: FnMut() -> R> WithSimd for Loops<F> {
 
 #[cfg(test)]
 mod tests {
-    use super::{ln, vectorised};
+    use super::{dot, ln, sum, vectorised};
+
+    #[test]
+    fn sums_and_products_leave_no_sample_out() {
+        let x: Vec<f64> = (1..=45).map(f64::from).collect();
+        for n in [0, 1, 7, 8, 9, 45] {
+            let whole = n as f64;
+            assert_eq!(sum(&x[..n]), 0.5 * whole * (whole + 1.0));
+            assert_eq!(
+                dot(&x[..n], &x),
+                whole * (whole + 1.0) * (2.0 * whole + 1.0) / 6.0
+            );
+        }
+    }
 
     #[test]
     fn ln_is_the_logarithm() {

@@ -1,7 +1,7 @@
 //! Numbers and findings of one channel.
 
 use ihd_signal::Capture;
-use ihd_signal::vectorised::vectorised;
+use ihd_signal::vectorised::{dot, sum, vectorised};
 use serde::Serialize;
 
 use super::carrier::CarrierPiece;
@@ -102,6 +102,9 @@ pub(super) fn survey(
 /// Samples that are summed together.
 const BLOCK_SAMPLES: usize = 1 << 14;
 
+/// Samples that are converted together.
+const PART_SAMPLES: usize = 256;
+
 /// Sums from which a channel's numbers are computed.
 struct Sums {
     min: f64,
@@ -111,26 +114,32 @@ struct Sums {
 }
 
 impl Sums {
-    /// Sums samples in eight lanes, which the compiler can vectorise.
+    /// Sums samples in lanes, which the compiler can vectorise.
     #[inline(always)]
     fn accumulate(x: &[f32]) -> Self {
-        const LANES: usize = 8;
-        let (mut min, mut max) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
-        let (mut sum, mut square) = ([0.0; LANES], [0.0; LANES]);
+        const LANES: usize = 16;
+        let (mut min, mut max) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
         for x in x.chunks(LANES) {
-            for (k, x) in x.iter().enumerate() {
-                let x = f64::from(*x);
-                min[k] = if x < min[k] { x } else { min[k] };
-                max[k] = if x > max[k] { x } else { max[k] };
-                sum[k] += x;
-                square[k] += x * x;
+            for (min, x) in min.iter_mut().zip(x) {
+                *min = if *x < *min { *x } else { *min };
             }
         }
+        for x in x.chunks(LANES) {
+            for (max, x) in max.iter_mut().zip(x) {
+                *max = if *x > *max { *x } else { *max };
+            }
+        }
+        let (mut wide, mut square) = ([0.0; PART_SAMPLES], 0.0);
+        for x in x.chunks(PART_SAMPLES) {
+            let wide = &mut wide[..x.len()];
+            wide.iter_mut().zip(x).for_each(|(y, x)| *y = f64::from(*x));
+            square += dot(wide, wide);
+        }
         Self {
-            min: min.into_iter().fold(f64::INFINITY, f64::min),
-            max: max.into_iter().fold(f64::NEG_INFINITY, f64::max),
-            sum: sum.iter().sum(),
-            square: square.iter().sum(),
+            min: f64::from(min.into_iter().fold(f32::INFINITY, f32::min)),
+            max: f64::from(max.into_iter().fold(f32::NEG_INFINITY, f32::max)),
+            sum: sum(x),
+            square,
         }
     }
 }

@@ -100,13 +100,20 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
     let mut ends = [RangeEnd::EMPTY; 2];
     // Two and a half bins at either end, and the rounding of a sample; values between are in none of these bins.
     let far = (high - 2.5 * width) as f32..=(low + 2.5 * width) as f32;
-    for x in x {
-        if *x < *far.start() && *x > *far.end() {
+    let between = |x: &f32| (*x < *far.start()) & (*x > *far.end());
+    for block in x.chunks(BLOCK_SAMPLES) {
+        let all_between = vectorised(
+            #[inline(always)]
+            || block.iter().fold(true, |all, x| all & between(x)),
+        );
+        if all_between {
             continue;
         }
-        let x = f64::from(*x);
-        for (end, distance) in ends.iter_mut().zip([high - x, x - low]) {
-            end.count(distance / width);
+        for x in block.iter().filter(|x| !between(x)) {
+            let x = f64::from(*x);
+            for (end, distance) in ends.iter_mut().zip([high - x, x - low]) {
+                end.count(distance / width);
+            }
         }
     }
     let mut out = ClippedSamples::default();
@@ -119,6 +126,9 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
     }
     out
 }
+
+/// Samples that are compared with both ends together: in most blocks none is near one.
+const BLOCK_SAMPLES: usize = 256;
 
 /// Histogram at an end of the range.
 struct RangeEnd {

@@ -24,6 +24,10 @@ mod subharmonic;
 pub mod time;
 pub mod track;
 
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::segment::Segment;
 use ihd_signal::{Capture, Load, Samples, TimeBase};
 use serde::Serialize;
@@ -206,12 +210,44 @@ impl Survey {
         })
     }
 
+    /// White noise of a span; `None` if it was not measured on it, but on a longer one.
+    pub fn noise_of(&self, span: usize) -> Option<WhiteNoise> {
+        let spans = self.spans.iter().enumerate();
+        let longest = spans.max_by_key(|(_, s)| s.samples);
+        longest.filter(|(k, _)| *k == span).map(|_| WhiteNoise {
+            v_v: self.voltage.noise.unwrap_or(0.0),
+            i_a: self.current.noise.unwrap_or(0.0),
+        })
+    }
+
     /// Copies all spans out of the capture that was surveyed.
     pub fn segments(&self, capture: &Capture) -> Vec<Segment> {
         self.spans
             .iter()
             .map(|s| self.segment(capture, s))
             .collect()
+    }
+
+    /// Calls `each` with every span of the capture that was surveyed. The samples of an owned capture are not copied.
+    pub fn for_segments(
+        &self,
+        capture: &mut Cow<'_, Capture>,
+        mut each: impl FnMut(usize, &Segment),
+    ) {
+        let capture = match capture {
+            Cow::Owned(capture) => capture,
+            Cow::Borrowed(capture) => {
+                let segments = self.spans.iter().map(|span| self.segment(capture, span));
+                return segments.enumerate().for_each(|(k, s)| each(k, &s));
+            }
+        };
+        let [v_v, i_a] = [&mut capture.v_v, &mut capture.i_a].map(|x| Arc::new(std::mem::take(x)));
+        for (k, span) in self.spans.iter().enumerate() {
+            let range = span.first..span.first + span.samples;
+            let part = |x: &Arc<Vec<f32>>| Samples::shared(Arc::clone(x)).part(range.clone());
+            each(k, &self.with_samples(span, part(&v_v), part(&i_a)));
+        }
+        [capture.v_v, capture.i_a] = [v_v, i_a].map(Arc::unwrap_or_clone);
     }
 
     /// Moves all spans out of the capture that was surveyed, which keeps everything but its samples.

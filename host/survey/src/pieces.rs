@@ -143,7 +143,7 @@ fn refined(capture: &Capture, piece: CarrierPiece) -> (CarrierPiece, Track) {
     }
     // Rounded to hertz, to remove rounding of the spectrum, which differs between machines.
     let f_hz = piece.f_hz.round();
-    let rough = track::track(capture, &piece.run, f_hz);
+    let rough = track::of_current(capture, &piece.run, f_hz);
     // Frames are at least one and a half periods apart: a faster rotation is ambiguous and therefore noise.
     let off_hz = rough.frequency_error_hz();
     let f_hz = if off_hz.abs() < f_hz / 3.0 {

@@ -28,16 +28,11 @@ fn of_piece(capture: &Capture, piece: &CarrierPiece) -> Option<Finding> {
         / 2;
     let run = piece.run.part(samples.start + spare..samples.end - spare);
     let frame = (FRAME_PERIODS / (piece.f_hz * run.dt_s)).round() as usize;
-    let rms = |f_hz: f64| {
-        let i_a = track::current(capture, &run, f_hz, (frame, frame / 2)).i_a;
-        let sum: f64 = i_a.iter().map(|i| i.norm_sqr()).sum();
-        (sum / i_a.len().max(1) as f64).sqrt()
-    };
-    let own = rms(piece.f_hz);
-    let of = |order: u32| (order, 100.0 * rms(piece.f_hz / f64::from(order)) / own);
-    let all = ORDERS
-        .map(of)
-        .into_iter()
+    let [second, third, fourth, fifth] = ORDERS.map(|order| piece.f_hz / f64::from(order));
+    let f_hz = [piece.f_hz, second, third, fourth, fifth];
+    let [own, of_orders @ ..] = track::rms_of_current(capture, &run, f_hz, (frame, frame / 2));
+    let all = (ORDERS.into_iter().zip(of_orders))
+        .map(|(order, rms)| (order, 100.0 * rms / own))
         .filter(|(_, share_pct)| *share_pct > MIN_SUBHARMONIC_PCT);
     let (order, share_pct) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
     Some(Finding::HarmonicTaken {

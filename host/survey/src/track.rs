@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use ihd_signal::Capture;
-use ihd_signal::vectorised::vectorised;
+use ihd_signal::vectorised::{dot, sum, vectorised};
 use nalgebra::{Complex, Matrix4, Vector4};
 
 use super::time::Run;
@@ -95,6 +95,12 @@ fn samples_per_frame(per_period: f64) -> usize {
     length.unwrap_or(least * per_period).round() as usize
 }
 
+/// Phasors of the current's fundamental in the frames of [`track`].
+pub fn of_current(capture: &Capture, run: &Run, f_hz: f64) -> TrackedFundamental {
+    let frame = samples_per_frame(1.0 / (f_hz * run.dt_s));
+    current(capture, run, f_hz, (frame, frame / 2))
+}
+
 /// Phasors of the current's fundamental, two periods per frame and a frame every half period.
 pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> TrackedFundamental {
     let per_period = 1.0 / (f_hz * run.dt_s);
@@ -104,7 +110,7 @@ pub fn fundamental(capture: &Capture, run: &Run, f_hz: f64) -> TrackedFundamenta
 }
 
 /// Phasors of the current at a frequency, with so many samples a frame and from frame to frame.
-pub fn current(
+fn current(
     capture: &Capture,
     run: &Run,
     f_hz: f64,
@@ -115,6 +121,25 @@ pub fn current(
         t_s,
         i_a: i_a.pop().unwrap_or_default(),
     }
+}
+
+/// Rms values of the current's phasors at some frequencies in hertz, with so many samples a frame and from frame to frame.
+pub fn rms_of_current<const MANY: usize>(
+    capture: &Capture,
+    run: &Run,
+    f_hz: [f64; MANY],
+    (frame, hop): (usize, usize),
+) -> [f64; MANY] {
+    let x = &capture.i_a[run.samples.clone()];
+    let (mut squares, mut frames) = ([0.0; MANY], 0);
+    let steps = f_hz.map(|f_hz| TAU * f_hz * run.dt_s);
+    for_frames(x, frame.max(1), hop, &steps, |_, sums| {
+        frames += 1;
+        for (square, [re, im]) in squares.iter_mut().zip(sums) {
+            *square += re * re + im * im;
+        }
+    });
+    squares.map(|square| (square / f64::from(frames.max(1))).sqrt())
 }
 
 /// Times of the frames' middles, and their phasors, one vector per order.
@@ -128,104 +153,88 @@ fn channel(
 ) -> (Vec<f64>, Vec<Vec<Complex<f64>>>) {
     let x = &x[run.samples.clone()];
     let frame = frame.max(1);
-    let window = hann(frame);
     let middle = 0.5 * frame as f64;
     let step = TAU * f_hz * run.dt_s;
-    // Window times e^{-jhωt} from the frame's first sample; the remaining factor is one rotation per frame.
-    let tables: Vec<[Vec<f64>; 2]> = orders
-        .iter()
-        .map(|&h| turned(&window, 4.0 / frame as f64, f64::from(h) * step))
-        .collect();
+    let steps: Vec<f64> = orders.iter().map(|&h| f64::from(h) * step).collect();
     let mut t_s = Vec::new();
     let mut out = vec![Vec::new(); orders.len()];
-    let mut buffers = vec![vec![0.0; frame]; BATCH_FRAMES];
-    let mut sums = vec![[[0.0; 2]; ORDERS.len()]; BATCH_FRAMES];
+    for_frames(x, frame, hop, &steps, |start, sums| {
+        t_s.push(run.t0_s + (start as f64 + middle) * run.dt_s);
+        for ((order, [re, im]), out) in orders.iter().zip(sums).zip(&mut out) {
+            let turned = f64::from(*order) * (step * start as f64 % TAU);
+            out.push(Complex::new(*re, *im) * Complex::from_polar(1.0, -turned));
+        }
+    });
+    (t_s, out)
+}
+
+/// Calls `each` with a frame's first sample and its phasors, counted from that sample, one for each of the frequencies: `steps` in
+/// radian a sample.
+fn for_frames(
+    x: &[f32],
+    frame: usize,
+    hop: usize,
+    steps: &[f64],
+    mut each: impl FnMut(usize, &[[f64; 2]]),
+) {
+    let window = hann(frame);
+    // Window times e^{-jωt} from the frame's first sample; the remaining factor is one rotation per frame.
+    let tables: Vec<[Vec<f64>; 2]> = steps
+        .iter()
+        .map(|&step| turned(&window, 4.0 / frame as f64, step))
+        .collect();
+    let mut sums = vec![[0.0; 2]; BATCH_FRAMES * steps.len()];
+    let (mut means, mut buffer) = ([0.0; BATCH_FRAMES], [0.0; STRETCH]);
     let frames = (x.len() + 1).saturating_sub(frame).div_ceil(hop.max(1));
     for first in (0..frames).step_by(BATCH_FRAMES) {
         let starts = (first..frames.min(first + BATCH_FRAMES)).map(|k| k * hop.max(1));
-        let starts: Vec<usize> = starts.collect();
+        sums.fill([0.0; 2]);
         vectorised(
             #[inline(always)]
             || {
-                for (buffer, start) in buffers.iter_mut().zip(&starts) {
-                    less_mean(buffer, &x[*start..start + frame]);
+                for (mean, start) in means.iter_mut().zip(starts.clone()) {
+                    *mean = sum(&x[start..start + frame]) / frame as f64;
                 }
-                sums.fill([[0.0; 2]; ORDERS.len()]);
                 // A part of the tables stays in the cache for all these frames.
                 let mut from = 0;
                 while from < frame {
                     let to = frame.min(from + STRETCH);
-                    for (buffer, sums) in buffers.iter().zip(&mut sums).take(starts.len()) {
+                    let of_frames = sums.chunks_exact_mut(steps.len());
+                    for ((start, mean), sums) in starts.clone().zip(&means).zip(of_frames) {
+                        let buffer = &mut buffer[..to - from];
+                        for (y, x) in buffer.iter_mut().zip(&x[start + from..start + to]) {
+                            *y = f64::from(*x) - mean;
+                        }
                         for ([re, im], sum) in tables.iter().zip(sums) {
-                            let of = [&re[from..to], &im[from..to]];
-                            let [re, im] = weighed(&buffer[from..to], of);
-                            *sum = [sum[0] + re, sum[1] + im];
+                            sum[0] += dot(&re[from..to], buffer);
+                            sum[1] += dot(&im[from..to], buffer);
                         }
                     }
                     from = to;
                 }
             },
         );
-        for (start, sums) in starts.iter().zip(&sums) {
-            t_s.push(run.t0_s + (*start as f64 + middle) * run.dt_s);
-            for ((order, [re, im]), out) in orders.iter().zip(sums).zip(&mut out) {
-                let turned = f64::from(*order) * (step * *start as f64 % TAU);
-                out.push(Complex::new(*re, *im) * Complex::from_polar(1.0, -turned));
-            }
+        for (start, sums) in starts.zip(sums.chunks_exact(steps.len())) {
+            each(start, sums);
         }
     }
-    (t_s, out)
 }
 
 /// Frames that are correlated together; then samples of the tables per pass.
 const BATCH_FRAMES: usize = 8;
 const STRETCH: usize = 256;
 
-/// Converts samples to doubles without their mean.
-#[inline(always)]
-fn less_mean(buffer: &mut [f64], x: &[f32]) {
-    let mut sums = [0.0; 8];
-    for (y, x) in buffer.chunks_mut(8).zip(x.chunks(8)) {
-        for (k, (y, x)) in y.iter_mut().zip(x).enumerate() {
-            *y = f64::from(*x);
-            sums[k] += *y;
-        }
-    }
-    let mean = sums.iter().sum::<f64>() / buffer.len() as f64;
-    buffer.iter_mut().for_each(|y| *y -= mean);
-}
-
-/// Sums of products with two weights in eight lanes, which the compiler can vectorise.
-#[inline(always)]
-fn weighed(x: &[f64], [re, im]: [&[f64]; 2]) -> [f64; 2] {
-    const LANES: usize = 8;
-    let (whole, rest) = x.as_chunks::<LANES>();
-    let (re_whole, re_rest) = re.as_chunks::<LANES>();
-    let (im_whole, im_rest) = im.as_chunks::<LANES>();
-    let mut sums = [[0.0; LANES]; 2];
-    for (x, (re, im)) in whole.iter().zip(re_whole.iter().zip(im_whole)) {
-        for k in 0..LANES {
-            sums[0][k] = x[k].mul_add(re[k], sums[0][k]);
-            sums[1][k] = x[k].mul_add(im[k], sums[1][k]);
-        }
-    }
-    for (x, (re, im)) in rest.iter().zip(re_rest.iter().zip(im_rest)) {
-        sums[0][0] += x * re;
-        sums[1][0] += x * im;
-    }
-    sums.map(|lanes| lanes.iter().sum())
-}
-
-impl Track {
+impl TrackedFundamental {
     /// Difference of the switching frequency from the track's, in hertz, by the slope of the current's phase.
     ///
     /// The load turns the phase as its R and L follow the current, by a law of the amplitude. The amplitude and its square are
     /// therefore fitted as well, which keeps the slope free of them in a capture that is no whole number of half-cycles. Where the
     /// fit asks for more than a load's turn, amplitude and time cannot be told apart, and the rotation alone counts.
     pub fn frequency_error_hz(&self) -> f64 {
-        let Some(i_a) = self.i_a.first().filter(|i| i.len() >= 2) else {
+        let i_a = &self.i_a;
+        if i_a.len() < 2 {
             return 0.0;
-        };
+        }
         let hop_s = self.t_s[1] - self.t_s[0];
         let coarse = pulse_pair_hz(i_a, hop_s);
         let t0_s = self.t_s[0];
@@ -364,14 +373,11 @@ mod tests {
                 let phase = TAU * 150.0 * span_s * share + bend * (share - 0.5).powi(2);
                 Complex::from_polar(level, phase)
             };
-            let track = Track {
-                f_sw_hz: 50e3,
+            let track = TrackedFundamental {
                 t_s: (0..frames)
                     .map(|k| span_s * k as f64 / (frames - 1) as f64)
                     .collect(),
-                v_v: Vec::new(),
-                i_a: vec![(0..frames).map(phasor).collect()],
-                frame: 60,
+                i_a: (0..frames).map(phasor).collect(),
             };
             let error = track.frequency_error_hz();
             // The ends are 2 · bend / (TAU · span) off.
@@ -382,7 +388,7 @@ mod tests {
     #[test]
     fn the_frequency_comes_from_the_phase() {
         let (capture, run) = tone(1e6, 45_037.3);
-        let error = track(&capture, &run, 45e3).frequency_error_hz();
+        let error = of_current(&capture, &run, 45e3).frequency_error_hz();
         assert!((error - 37.3).abs() < 0.05, "{error}");
     }
 }

@@ -25,9 +25,15 @@ pub struct Tone {
 }
 
 impl Tone {
-    /// Calls with the tone's voltage in volt, sample by sample of a segment, up to `samples`.
-    pub fn each(&self, segment: &Segment, samples: usize, mut each: impl FnMut(usize, f64)) {
-        let periods = (segment.f_sw_hz + self.offset_hz) * segment.dt_s;
+    /// Calls with the tone's voltage in volt, sample by sample of its segment, up to `samples`; the segment's switching frequency is in
+    /// hertz, its sampling interval in seconds.
+    pub fn each(
+        &self,
+        (f_sw_hz, dt_s): (f64, f64),
+        samples: usize,
+        mut each: impl FnMut(usize, f64),
+    ) {
+        let periods = (f_sw_hz + self.offset_hz) * dt_s;
         for k in 0..samples {
             let Some(shape) = self.at(k) else {
                 continue;
@@ -55,7 +61,8 @@ impl Tone {
 pub fn remove_tones(segment: &Segment, tones: &[Tone]) -> Segment {
     let mut v_v = segment.v_v.to_vec();
     for tone in tones {
-        tone.each(segment, v_v.len(), |k, v| v_v[k] -= v);
+        let sampling = (segment.f_sw_hz, segment.dt_s);
+        tone.each(sampling, v_v.len(), |k, v| v_v[k] -= v);
     }
     Segment {
         v_v: v_v.into(),

@@ -10,7 +10,7 @@ use ihd_identify::lockin::{Boxcar, LockInPhasors, demodulate};
 use ihd_signal::carrier::Carrier;
 use ihd_signal::noise::median;
 use ihd_signal::{Capture, Remark, Segment, Severity, TimeBase};
-use ihd_survey::{Span, Survey};
+use ihd_survey::Survey;
 use nalgebra::Complex;
 
 /// Switching periods of each of the two boxcars, from a place to the phasors that are compared, and to the comparisons that show
@@ -50,15 +50,15 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
     let TimeBase::Even { t0_s, dt_s } = capture.time else {
         return None;
     };
-    let of = |span: &Span| {
-        let segment = survey.segment(capture, span);
-        let per_period = segment.samples_per_period();
-        let jumps = find(&segment).into_iter();
-        jumps
-            .map(|jump| (span.first as f64 + jump.at, jump.missing, per_period))
-            .collect::<Vec<_>>()
-    };
-    let jumps: Vec<(f64, usize, f64)> = survey.spans.iter().flat_map(of).collect();
+    let mut jumps: Vec<(f64, usize, f64)> = Vec::new();
+    survey.for_segments(capture, |span, segment| {
+        let (first, per_period) = (
+            survey.spans[span].first as f64,
+            segment.samples_per_period(),
+        );
+        let of_span = find(segment).into_iter();
+        jumps.extend(of_span.map(|jump| (first + jump.at, jump.missing, per_period)));
+    });
     let (first, ..) = *jumps.first()?;
     let mut steps: Vec<usize> = (0..capture.len()).collect();
     let capture = capture.to_mut();

@@ -1,6 +1,7 @@
 //! Choice of the estimates that stand for a half-cycle: at the crest of the current, and means weighted by its square.
 
 use ihd_identify::Estimate;
+use ihd_signal::vectorised::{self, dot, vectorised};
 use ihd_signal::{Samples, Segment};
 
 /// Largest distance from the crest, in half-cycles.
@@ -33,19 +34,21 @@ pub fn squared_current(segment: &Segment, t_s: &[f64]) -> Vec<f64> {
 
 /// Sums of the current in ampere, and of its square, up to each of these indices, which ascend.
 fn sums(segment: &Segment, ends: &[usize]) -> Vec<(f64, f64)> {
-    let (mut out, mut sum, mut buffer) = (Vec::with_capacity(ends.len()), (0.0, 0.0), Vec::new());
-    for first in (0..=segment.len()).step_by(Samples::CHUNK) {
-        let block = first..(first + Samples::CHUNK).min(segment.len());
-        let samples = segment.i_a.block(block, &mut buffer);
-        for k in 0..Samples::CHUNK {
-            while ends.get(out.len()) == Some(&(first + k)) {
-                out.push(sum);
-            }
-            let Some(i) = samples.get(k) else { break };
-            sum = (sum.0 + i, sum.1 + i * i);
+    let (mut from, mut sum, mut buffer) = (0, (0.0, 0.0), Vec::new());
+    let up_to = |end: &usize| {
+        for first in (from..*end).step_by(Samples::CHUNK) {
+            let block = first..(first + Samples::CHUNK).min(*end);
+            let i_a = segment.i_a.block(block, &mut buffer);
+            let [of_block, squares] = vectorised(
+                #[inline(always)]
+                || [vectorised::sum(i_a), dot(i_a, i_a)],
+            );
+            sum = (sum.0 + of_block, sum.1 + squares);
         }
-    }
-    out
+        from = *end;
+        sum
+    };
+    ends.iter().map(up_to).collect()
 }
 
 /// Estimate nearest to the middle of the last complete half-cycle: the current's crest.

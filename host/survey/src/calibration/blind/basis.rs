@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::rc::Rc;
 
+use ihd_signal::vectorised::{dot, vectorised};
 use nalgebra::{DMatrix, DVector};
 
 /// Highest degree.
@@ -64,23 +65,50 @@ impl Basis {
         self.values.ncols()
     }
 
-    /// Coefficients of a function of the sample's number.
-    pub fn project(&self, of: impl Fn(usize) -> f64) -> DVector<f64> {
+    /// Coefficients of samples.
+    pub fn project(&self, samples: &[f64]) -> DVector<f64> {
         let mut out = DVector::zeros(self.len());
-        let samples = DVector::from_fn(self.values.nrows(), |k, _| of(k));
-        out.gemv_tr(1.0, &self.values, &samples, 0.0);
+        vectorised(
+            #[inline(always)]
+            || {
+                for (out, polynomial) in out.as_mut_slice().iter_mut().zip(self.polynomials()) {
+                    *out = dot(polynomial, samples);
+                }
+            },
+        );
         out
     }
 
-    /// First coefficient of a function of the sample's number.
-    pub fn level(&self, of: impl Fn(usize) -> f64) -> f64 {
-        let constant = self.values.column(0);
-        constant.iter().enumerate().map(|(k, x)| x * of(k)).sum()
+    /// First coefficient of samples.
+    pub fn level(&self, samples: &[f64]) -> f64 {
+        let constant = self.polynomials().next().unwrap_or(&[]);
+        vectorised(
+            #[inline(always)]
+            || dot(constant, samples),
+        )
     }
 
     /// Values at the samples.
-    pub fn at_samples(&self, coefficients: &DVector<f64>) -> DVector<f64> {
-        &self.values * coefficients
+    pub fn at_samples(&self, coefficients: &DVector<f64>) -> Vec<f64> {
+        let mut out = vec![0.0; self.values.nrows()];
+        vectorised(
+            #[inline(always)]
+            || {
+                for (coefficient, polynomial) in
+                    coefficients.as_slice().iter().zip(self.polynomials())
+                {
+                    out.iter_mut()
+                        .zip(polynomial)
+                        .for_each(|(y, x)| *y += coefficient * x);
+                }
+            },
+        );
+        out
+    }
+
+    /// Values of one polynomial after the other at the samples.
+    fn polynomials(&self) -> std::slice::ChunksExact<'_, f64> {
+        self.values.as_slice().chunks_exact(self.values.nrows())
     }
 
     /// Coefficients of the integral over time; `half_s` is half the samples' extent in seconds.
@@ -140,7 +168,8 @@ mod tests {
             let (dt_s, from) = (2.0 / (samples - 1) as f64, 0.3);
             let basis = bases.get_or_create(samples);
             let t = |k: usize| from + k as f64 * dt_s;
-            let sine = basis.project(|k| t(k).sin());
+            let all: Vec<f64> = (0..samples).map(|k| t(k).sin()).collect();
+            let sine = basis.project(&all);
             let fitted = basis.at_samples(&sine);
             let integral = basis.at_samples(&basis.integrated(&sine, 1.0));
             let derivative = basis.at_samples(&basis.derived(&sine, 1.0));

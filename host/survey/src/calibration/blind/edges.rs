@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use ihd_signal::correlation::weighted_sums;
 use ihd_signal::fourier::hann;
+use ihd_signal::vectorised::vectorised;
 use nalgebra::Complex;
 
 use crate::track::turned;
@@ -37,7 +38,7 @@ pub(super) struct Carrier {
 
 impl Carrier {
     /// State at a share of the way to the next one: beyond it the phase is extrapolated, amplitudes are held.
-    #[inline]
+    #[inline(always)]
     fn towards(&self, next: &Self, share: f64) -> Self {
         let held = share.clamp(0.0, 1.0);
         Self {
@@ -63,8 +64,62 @@ pub(super) struct Edges {
     pub track: Track,
     /// Phases between the edges in periods, from the end of one to the beginning of the next; the second may exceed 1.
     pub between: [Range<f64>; 2],
-    /// Charge in coulomb at the carrier's frequency, sample by sample.
-    pub charge_c: Vec<f64>,
+    pub charge: Charge,
+}
+
+/// Charge that flowed since a stretch's first sample.
+#[derive(Clone, Debug)]
+pub(super) struct Charge {
+    /// Charge in coulomb, by the trapezoidal rule, which is accurate enough to find edges.
+    q_c: Vec<f64>,
+    /// Sums of it over all samples before each.
+    sums: Vec<f64>,
+    /// Samples of one and a half periods.
+    half: usize,
+}
+
+impl Charge {
+    fn of_stretch(stretch: &Stretch) -> Self {
+        let i_a = &stretch.i_a;
+        let (mut q, mut sum, mut before) = (0.0, 0.0, None);
+        let (mut q_c, mut sums) = (
+            Vec::with_capacity(i_a.len()),
+            Vec::with_capacity(i_a.len() + 1),
+        );
+        for i in i_a {
+            q += before.map_or(0.0, |before: f64| 0.5 * (before + i) * stretch.dt_s);
+            before = Some(*i);
+            q_c.push(q);
+            sums.push(sum);
+            sum += q;
+        }
+        sums.push(sum);
+        Self {
+            q_c,
+            sums,
+            half: ((1.5 * stretch.per_period()).round() as usize).max(1),
+        }
+    }
+
+    /// Charge in coulomb at the carrier's frequency, sample by sample of a range: less its mean over three periods.
+    pub fn swinging_c(&self, samples: Range<usize>) -> Vec<f64> {
+        let (half, last) = (self.half, self.q_c.len());
+        let mut q_c = self.q_c[samples.clone()].to_vec();
+        if samples.start >= half && samples.end + half <= last {
+            let before = &self.sums[samples.start - half..samples.end - half];
+            let after = &self.sums[samples.start + half..samples.end + half];
+            let count = 2.0 * half as f64;
+            for (q, (a, b)) in q_c.iter_mut().zip(before.iter().zip(after)) {
+                *q -= (b - a) / count;
+            }
+            return q_c;
+        }
+        for (q, k) in q_c.iter_mut().zip(samples) {
+            let (a, b) = (k.saturating_sub(half), (k + half).min(last));
+            *q -= (self.sums[b] - self.sums[a]) / (b - a).max(1) as f64;
+        }
+        q_c
+    }
 }
 
 /// Switching periods in a frame, and from frame to frame.
@@ -85,37 +140,6 @@ impl Stretch {
     /// Number of samples per period.
     pub fn per_period(&self) -> f64 {
         1.0 / (self.f_sw_hz * self.dt_s)
-    }
-
-    /// Charge in coulomb since the first sample, by the trapezoidal rule, which is accurate enough to find edges.
-    fn charge_c(&self) -> Vec<f64> {
-        let mut sum = 0.0;
-        let steps = self.i_a.windows(2).map(|w| 0.5 * (w[0] + w[1]) * self.dt_s);
-        std::iter::once(0.0)
-            .chain(steps.map(|step| {
-                sum += step;
-                sum
-            }))
-            .collect()
-    }
-
-    /// Charge in coulomb at the carrier's frequency: less its mean over three periods.
-    fn swinging_charge_c(&self, mut q_c: Vec<f64>) -> Vec<f64> {
-        let half = ((1.5 * self.per_period()).round() as usize).max(1);
-        let mut sums = Vec::with_capacity(q_c.len() + 1);
-        sums.push(0.0);
-        let mut sum = 0.0;
-        sums.extend(q_c.iter().map(|q| {
-            sum += q;
-            sum
-        }));
-        let samples = q_c.len();
-        let mean = |k: usize| {
-            let (a, b) = (k.saturating_sub(half), (k + half).min(samples));
-            (sums[b] - sums[a]) / (b - a).max(1) as f64
-        };
-        q_c.iter_mut().enumerate().for_each(|(k, q)| *q -= mean(k));
-        q_c
     }
 
     /// 1/C in 1/farad: the median ratio of voltage steps to the charge that flowed. The few steps that contain an edge do not
@@ -189,14 +213,38 @@ impl Stretch {
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
         let mut sums = vec![(0.0, 0u32); bins];
-        track.walk(m..self.v_v.len(), |k, c| {
-            if c.v_v < least_v {
-                return;
+        let (mut squares, mut places) = ([0.0; WALKED], [0.0; WALKED]);
+        track.walk(m..self.v_v.len(), |range, between| {
+            let (squares, places) = (&mut squares[..range.len()], &mut places[..range.len()]);
+            let (v, q) = (
+                &self.v_v[range.start - m..range.end],
+                &q_c[range.start - m..range.end],
+            );
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (k, place) in places.iter_mut().enumerate() {
+                        *place = fraction(between.at(k).periods) * bins as f64;
+                    }
+                    for (step, (before, v)) in squares.iter_mut().zip(v.iter().zip(&v[m..])) {
+                        *step = v - before;
+                    }
+                    for (step, (before, q)) in squares.iter_mut().zip(q.iter().zip(&q[m..])) {
+                        *step += elastance * (q - before);
+                    }
+                    for (k, square) in squares.iter_mut().enumerate() {
+                        let v_v = between.at(k).v_v;
+                        let share = *square / v_v;
+                        *square = if v_v < least_v { -1.0 } else { share * share };
+                    }
+                },
+            );
+            for (square, place) in squares.iter().zip(&*places) {
+                if *square >= 0.0 {
+                    let sum = &mut sums[(*place as usize).min(bins - 1)];
+                    *sum = (sum.0 + square, sum.1 + 1);
+                }
             }
-            let step = self.v_v[k] - self.v_v[k - m] + elastance * (q_c[k] - q_c[k - m]);
-            let bin = (fraction(c.periods) * bins as f64) as usize;
-            let sum = &mut sums[bin.min(bins - 1)];
-            *sum = (sum.0 + (step / c.v_v).powi(2), sum.1 + 1);
         });
         let mut rms: Vec<Option<f64>> = sums
             .iter()
@@ -214,20 +262,21 @@ impl Stretch {
 
     /// Carrier, and the phases between its edges; `None` if nothing switches, or no two edges are found.
     pub fn edges(&self) -> Option<Edges> {
-        let q_c = self.charge_c();
-        let elastance = self.elastance(&q_c)?;
+        let charge = Charge::of_stretch(self);
+        let elastance = self.elastance(&charge.q_c)?;
         let track = self.track(elastance)?;
         Some(Edges {
-            between: self.fold(&track, elastance, &q_c).between_edges()?,
-            charge_c: self.swinging_charge_c(q_c),
+            between: self.fold(&track, elastance, &charge.q_c).between_edges()?,
+            charge,
             track,
         })
     }
 }
 
 /// Part of `x` beyond the next lower whole number, as `rem_euclid(1.0)` without a division.
+#[inline(always)]
 fn fraction(x: f64) -> f64 {
-    let beyond = x - (x as i64) as f64;
+    let beyond = x - x.trunc();
     if beyond < 0.0 { beyond + 1.0 } else { beyond }
 }
 
@@ -275,6 +324,27 @@ impl Fold {
     }
 }
 
+/// Most samples of a stretch of [`Track::walk`].
+const WALKED: usize = 512;
+
+/// Carrier along samples between two frames.
+struct Between {
+    ends: [Carrier; 2],
+    /// Samples from the first frame to the first sample.
+    before: f64,
+    /// Share of the way from frame to frame that a sample takes.
+    per_sample: f64,
+}
+
+impl Between {
+    /// State of the carrier at a sample, as [`Track::at`] has it.
+    #[inline(always)]
+    fn at(&self, k: usize) -> Carrier {
+        let [a, b] = &self.ends;
+        a.towards(b, (self.before + k as f64) * self.per_sample)
+    }
+}
+
 /// Newton steps to the position of a phase: the frequency is within a few percent of the mean, so that each gives two digits.
 const PLACE_STEPS: usize = 6;
 
@@ -289,9 +359,8 @@ impl Track {
         k
     }
 
-    /// Visits samples with the state of the carrier there, as [`Track::at`] has it, without a search for each.
-    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(usize, Carrier)) {
-        let per_sample = self.hop.recip();
+    /// Visits all samples of a range in stretches of at most [`WALKED`], each between the same two frames.
+    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(Range<usize>, Between)) {
         let last = self.frames.len().saturating_sub(2);
         let mut k = samples.start;
         for (n, pair) in self.frames.windows(2).enumerate() {
@@ -301,9 +370,14 @@ impl Track {
                 false => samples.end,
             };
             while k < end {
-                let w = (k as f64 - middle) * per_sample;
-                visit(k, pair[0].towards(&pair[1], w));
-                k += 1;
+                let next = end.min(k + WALKED);
+                let between = Between {
+                    ends: [pair[0], pair[1]],
+                    before: k as f64 - middle,
+                    per_sample: self.hop.recip(),
+                };
+                visit(k..next, between);
+                k = next;
             }
         }
     }

@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use ihd_signal::segment::Segment;
+use ihd_signal::vectorised::{sum, vectorised};
 use ihd_signal::{Capture, Load};
 
 use super::choose::{MIN_SKEW_GAIN, ModelChoice};
@@ -74,13 +75,12 @@ pub fn estimate(
         let (Some(v), Some(i)) = (capture.v_v.get(range.clone()), capture.i_a.get(range)) else {
             continue;
         };
-        let wide = |x: &[f32], sign: f64| x.iter().map(|x| sign * f64::from(*x)).collect();
-        stretches.push(stretch(
-            wide(v, 1.0),
-            wide(i, sign),
-            span.dt_s,
-            span.f_sw_hz,
-        ));
+        stretches.push(Stretch {
+            v_v: less_mean(v, 1.0),
+            i_a: less_mean(i, sign),
+            dt_s: span.dt_s,
+            f_sw_hz: span.f_sw_hz,
+        });
     }
     let strongest = spans.first();
     let f_sw_hz = strongest.map_or(45e3, |s| s.f_sw_hz);
@@ -104,22 +104,23 @@ pub fn estimate_segment(
         .len()
         .min(segment.i_a.len())
         .min(MAX_STRETCH_SAMPLES);
-    let (v_v, i_a) = (segment.v_v[..n].to_vec(), segment.i_a[..n].to_vec());
-    let one = [stretch(v_v, i_a, segment.dt_s, segment.f_sw_hz)];
+    let one = [Stretch {
+        v_v: less_mean(&segment.v_v[..n], 1.0),
+        i_a: less_mean(&segment.i_a[..n], 1.0),
+        dt_s: segment.dt_s,
+        f_sw_hz: segment.f_sw_hz,
+    }];
     judged(&one, segment.f_sw_hz, load, known_capacitance_f, settling_s)
 }
 
-fn stretch(v_v: Vec<f64>, i_a: Vec<f64>, dt_s: f64, f_sw_hz: f64) -> Stretch {
-    let less_mean = |x: Vec<f64>| {
-        let mean = x.iter().sum::<f64>() / x.len().max(1) as f64;
-        x.into_iter().map(|x| x - mean).collect()
-    };
-    Stretch {
-        v_v: less_mean(v_v),
-        i_a: less_mean(i_a),
-        dt_s,
-        f_sw_hz,
-    }
+/// Samples of a sign less their mean.
+fn less_mean<T: Copy + Into<f64>>(x: &[T], sign: f64) -> Vec<f64> {
+    let sum = vectorised(
+        #[inline(always)]
+        || sum(x),
+    );
+    let mean = sign * sum / x.len().max(1) as f64;
+    x.iter().map(|x| sign * (*x).into() - mean).collect()
 }
 
 fn judged(

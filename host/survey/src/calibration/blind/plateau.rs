@@ -1,7 +1,7 @@
 //! Plateaus: voltage and current between two edges, as coefficients of polynomials.
 
 use super::basis::{Bases, MIN_SAMPLES};
-use super::edges::{Carrier, Edges, MIN_AMPLITUDE_SHARE, Stretch};
+use super::edges::{Carrier, Charge, Edges, MIN_AMPLITUDE_SHARE, Stretch};
 
 /// Times in seconds that are left out around edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -106,7 +106,7 @@ pub(super) fn of_stretch(
                 side,
                 carrier,
                 tail,
-                (edges.charge_c.as_slice(), &mut *bases),
+                (&edges.charge, &mut *bases),
             ));
         }
     }
@@ -126,24 +126,26 @@ fn plateau(
     side: usize,
     carrier: Carrier,
     tail: Option<Tail>,
-    (charge_c, bases): (&[f64], &mut Bases),
+    (charged, bases): (&Charge, &mut Bases),
 ) -> Plateau {
     let basis = bases.get_or_create(to - from);
     let dt_s = stretch.dt_s;
     let half_s = 0.5 * (to - from - 1) as f64 * dt_s;
-    let v = basis.project(|k| stretch.v_v[from + k]);
-    let i = basis.project(|k| stretch.i_a[from + k]);
-    let smooth = basis.at_samples(&i);
-    let cubes = basis.project(|k| smooth[k].powi(3));
+    let v = basis.project(&stretch.v_v[from..to]);
+    let i = basis.project(&stretch.i_a[from..to]);
+    let mut cubed = basis.at_samples(&i);
+    cubed.iter_mut().for_each(|x| *x = x.powi(3));
+    let cubes = basis.project(&cubed);
     let mut charge = basis.integrated(&i, half_s);
     // The charge's level enters its integral.
-    charge[0] = basis.level(|k| charge_c[from + k]);
+    charge[0] = basis.level(&charged.swinging_c(from..to));
     let slope = basis.derived(&i, half_s);
     let bend = basis.derived(&slope, half_s);
     let area = basis.integrated(&charge, half_s);
     let cubed = basis.integrated(&cubes, half_s);
     let tail = tail.map(|tail| {
-        basis.project(|k| libm::exp(-(tail.since_edge_s + k as f64 * dt_s) / tail.tau_s))
+        let at = |k: usize| libm::exp(-(tail.since_edge_s + k as f64 * dt_s) / tail.tau_s);
+        basis.project(&(0..to - from).map(at).collect::<Vec<f64>>())
     });
     let row = |l: usize| {
         let time = basis.line[l] * half_s;
