@@ -56,7 +56,7 @@ fn a_hob_that_heats_is_asked_for_no_test_and_goes_on() {
     assert_eq!((status.state, status.asked_w), (State::Heating, 1_000));
 }
 
-/// 12 codes of 312.5 mV are 3.75 V; of 39 mA 0.47 A (docs/bring-up.md, D1).
+/// 12 codes of 312.7 mV are 3.75 V; of 39.1 mA 0.47 A (docs/bring-up.md, D1).
 #[test]
 fn an_offset_is_found_from_twelve_codes_on() {
     for (kind, value, fails) in [
