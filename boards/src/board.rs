@@ -1,7 +1,6 @@
 //! A board file, read and checked.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use toml::de::{DeTable, DeValue};
@@ -193,15 +192,16 @@ impl Board {
         );
         for value in VALUES {
             let (number, _) = self.value(&format!("{}.{}", value.section, value.key));
-            let name = value.key.to_uppercase();
-            let _ = writeln!(
-                text,
-                "/// {}\npub const {name}: {} = {number};",
-                value.doc, value.kind
-            );
+            text += &constant(value.key, value.kind, number, value.doc);
         }
         text + &scales::constants(self) + &thermistors::constants(self) + &pins::constants(self)
     }
+}
+
+/// Source text of a constant, whose name is its key in capitals.
+pub(crate) fn constant(key: &str, kind: &str, number: i64, doc: &str) -> String {
+    let name = key.to_uppercase();
+    format!("/// {doc}\npub const {name}: {kind} = {number};\n")
 }
 
 /// Line of a place in a text, from 1.

@@ -1,9 +1,8 @@
 //! Scales and poles at the converters' pins, by the parts of `[front_end]` (docs/board.md, "Scales").
 
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 
-use crate::board::Board;
+use crate::board::{Board, constant};
 use crate::error::BoardError;
 
 /// Supply of the analogue parts and reference of the converters, in millivolt.
@@ -36,9 +35,9 @@ const SCALES: [Scale; 8] = [
         part: "burden_mohm",
         range: (5_000, 500_000),
         number: |p| {
-            NOMINAL_SUPPLY_MV / 2.0 / p.ohm("burden_mohm")
+            NOMINAL_SUPPLY_MV / 2.0 / p.value("burden_mohm")
                 * 1e3
-                * p.ohm("current_transformer_turns")
+                * p.value("current_transformer_turns")
         },
         doc: "Half the input range of the coil current's channel, in milliampere.",
     },
@@ -47,7 +46,7 @@ const SCALES: [Scale; 8] = [
         part: "bus_divider_bottom_ohm",
         range: (500, 15_000),
         number: |p| {
-            let share = p.ohm("bus_divider_ohm") / p.ohm("bus_divider_bottom_ohm");
+            let share = p.value("bus_divider_ohm") / p.value("bus_divider_bottom_ohm");
             NOMINAL_SUPPLY_MV / 100.0 * (1.0 + share)
         },
         doc: "Bus voltage at the end of the converter's range, in decivolt.",
@@ -63,7 +62,7 @@ const SCALES: [Scale; 8] = [
         key: "anti_alias_hz",
         part: "fast_pin_pf",
         range: (100_000, 5_000_000),
-        number: |p| p.pole_hz(p.ohm("pin_ohm"), "fast_pin_pf"),
+        number: |p| p.pole_hz(p.value("pin_ohm"), "fast_pin_pf"),
         doc: "Corner of the first-order anti-alias filter of both fast channels, in hertz.",
     },
     Scale {
@@ -71,7 +70,10 @@ const SCALES: [Scale; 8] = [
         part: "bus_divider_pf",
         range: (100, 5_000_000),
         number: |p| {
-            let (top, bottom) = (p.ohm("bus_divider_ohm"), p.ohm("bus_divider_bottom_ohm"));
+            let (top, bottom) = (
+                p.value("bus_divider_ohm"),
+                p.value("bus_divider_bottom_ohm"),
+            );
             p.pole_hz(top * bottom / (top + bottom), "bus_divider_pf")
         },
         doc: "Pole of the bus divider, in hertz.",
@@ -80,14 +82,14 @@ const SCALES: [Scale; 8] = [
         key: "mains_pole_hz",
         part: "mains_amplifier_pf",
         range: (100, 5_000_000),
-        number: |p| p.pole_hz(p.ohm("mains_divider_bottom_ohm"), "mains_amplifier_pf"),
+        number: |p| p.pole_hz(p.value("mains_divider_bottom_ohm"), "mains_amplifier_pf"),
         doc: "Pole of the mains amplifier, in hertz.",
     },
     Scale {
         key: "slow_pin_pole_hz",
         part: "slow_pin_pf",
         range: (100, 5_000_000),
-        number: |p| p.pole_hz(p.ohm("pin_ohm"), "slow_pin_pf"),
+        number: |p| p.pole_hz(p.value("pin_ohm"), "slow_pin_pf"),
         doc: "Pole at the pins of bus and mains, in hertz.",
     },
 ];
@@ -97,19 +99,19 @@ struct Parts<'a>(&'a Board);
 
 impl Parts<'_> {
     /// Value of a part, in the unit of its key.
-    fn ohm(&self, key: &str) -> f64 {
+    fn value(&self, key: &str) -> f64 {
         self.0.value(&format!("front_end.{key}")).0 as f64
     }
 
     /// Half the input range behind a difference amplifier with a chain and a bottom resistor on each side, in millivolt.
     fn amplified_mv(&self, of: &str) -> f64 {
-        let chain = self.ohm(&format!("{of}_divider_ohm"));
-        NOMINAL_SUPPLY_MV / 2.0 * chain / self.ohm(&format!("{of}_divider_bottom_ohm"))
+        let chain = self.value(&format!("{of}_divider_ohm"));
+        NOMINAL_SUPPLY_MV / 2.0 * chain / self.value(&format!("{of}_divider_bottom_ohm"))
     }
 
     /// Pole of a resistance with a capacitor, in hertz.
     fn pole_hz(&self, ohm: f64, capacitor: &str) -> f64 {
-        1e12 / (TAU * ohm * self.ohm(capacitor))
+        1e12 / (TAU * ohm * self.value(capacitor))
     }
 }
 
@@ -142,8 +144,7 @@ pub(crate) fn constants(board: &Board) -> String {
     );
     for scale in &SCALES {
         let (number, _) = board.value(&format!("front_end.{}", scale.key));
-        let name = scale.key.to_uppercase();
-        let _ = writeln!(text, "/// {}\npub const {name}: u32 = {number};", scale.doc);
+        text += &constant(scale.key, "u32", number, scale.doc);
     }
     text
 }

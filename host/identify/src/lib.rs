@@ -202,7 +202,7 @@ impl Preprocessing {
     /// Preprocesses a segment whose noise may be known.
     ///
     /// # Errors
-    /// As [`Preprocessing::new`].
+    /// Errors of [`Preprocessing::new`].
     pub fn with_noise(segment: &Segment, known: Option<WhiteNoise>) -> Result<Self, SegmentError> {
         segment.check()?;
         Ok(Self {

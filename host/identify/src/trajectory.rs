@@ -49,14 +49,13 @@ impl<'a> TrajectoryCursor<'a> {
 
     /// R and L about a time, kept for the following ones.
     fn between_at(&mut self, t_s: f64) -> Between {
-        let Place { a, b, .. } = self.place(t_s);
+        let Place { a, b, per_s, .. } = self.place(t_s);
         let times = &self.estimate.t_s;
-        let span = times[b] - times[a];
         let of = |x: &[f64]| (x[a], x[b] - x[a]);
         *self.between.insert(Between {
             from_s: times[a],
             until_s: if b > a { times[b] } else { f64::INFINITY },
-            per_s: if span > 0.0 { 1.0 / span } else { 0.0 },
+            per_s,
             r_ohm: of(&self.estimate.r_ohm),
             l_h: of(&self.estimate.l_h),
         })
@@ -85,15 +84,16 @@ impl<'a> TrajectoryCursor<'a> {
         let span = times[b] - times[a];
         let per_s = if span > 0.0 { 1.0 / span } else { 0.0 };
         let w = ((t_s - times[a]) * per_s).clamp(0.0, 1.0);
-        Place { a, b, w }
+        Place { a, b, per_s, w }
     }
 }
 
-/// Two adjacent points, and the share of the way to the second.
+/// Two adjacent points, the reciprocal of the time between them in 1/s, and the share of the way to the second.
 #[derive(Clone, Copy)]
 struct Place {
     a: usize,
     b: usize,
+    per_s: f64,
     w: f64,
 }
 

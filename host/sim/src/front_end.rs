@@ -21,6 +21,3 @@ pub const MAINS_CHAIN_OHM: f64 =
 
 /// Bus voltage at the end of the converter's range, in volt.
 pub const BUS_FULL_SCALE_V: f64 = board::BUS_FULL_SCALE_DV as f64 / 10.0;
-
-/// Half the input range of the mains voltage, in volt.
-pub const MAINS_FULL_SCALE_V: f64 = board::MAINS_FULL_SCALE_MV as f64 / 1e3;

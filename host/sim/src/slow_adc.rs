@@ -1,13 +1,14 @@
 //! Slow ADC: bus and mains voltage, as read by the board's third converter.
 
 use ihd_firmware::sense::bus::BUS_MEAN;
+use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
 use ihd_shared::sampling::{CODE_HALF_RANGE, CODE_MAX, CODE_MIN};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::dividers::DividedVoltages;
-use super::front_end::{BUS_FULL_SCALE_V, MAINS_FULL_SCALE_V};
+use super::front_end::BUS_FULL_SCALE_V;
 
 /// White noise after the dividers' filters, standard deviation in codes.
 const NOISE_CODES: f64 = 1.0;

@@ -3,11 +3,12 @@
 use std::collections::VecDeque;
 
 use ihd_firmware::drive::bridge;
+use ihd_firmware::sense::mains::MAINS_FULL_SCALE_V;
 use ihd_shared::board::{self, Pin};
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::SimulatedAdc;
 use ihd_sim::comparator::FilteredComparator;
-use ihd_sim::front_end::{BUS_FULL_SCALE_V, MAINS_FULL_SCALE_V};
+use ihd_sim::front_end::BUS_FULL_SCALE_V;
 use ihd_sim::hob::HobConfig;
 use ihd_sim::injection::{InjectionKind, Injections};
 use ihd_sim::plant::Plant;
