@@ -79,13 +79,9 @@ impl Basis {
         out
     }
 
-    /// First coefficient of samples.
-    pub fn level(&self, samples: &[f64]) -> f64 {
-        let constant = self.polynomials().next().unwrap_or(&[]);
-        vectorised(
-            #[inline(always)]
-            || dot(constant, samples),
-        )
+    /// First coefficient of samples with this mean.
+    pub fn level(&self, mean: f64) -> f64 {
+        mean * (self.values.nrows() as f64).sqrt()
     }
 
     /// Values at the samples.

@@ -41,7 +41,7 @@ pub(super) const MIN_SKEW_GAIN: f64 = 12.0;
 /// Chooses a model for the plateaus of the stretches. `settling_s` is the time constant of a filter that both channels
 /// share, which leaves a tail after each edge.
 pub(super) fn choose(
-    stretches: &[Stretch],
+    stretches: &[Stretch<'_>],
     settling_s: Option<f64>,
 ) -> Result<ModelChoice, BlindError> {
     let mut best: Option<ModelChoice> = None;
@@ -53,7 +53,7 @@ pub(super) fn choose(
         .collect();
     for after_s in AFTER_S {
         // Edges are located to a third of a sample.
-        let of = |s: &Stretch| Guards {
+        let of = |s: &Stretch<'_>| Guards {
             before_s: BEFORE_S + 0.4 * s.dt_s,
             after_s,
         };

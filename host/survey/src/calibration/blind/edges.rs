@@ -3,20 +3,21 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use ihd_signal::correlation::weighted_sums;
 use ihd_signal::fourier::hann;
 use ihd_signal::vectorised::vectorised;
 use nalgebra::Complex;
 
+use super::charge::{Charge, charge_c};
+use super::samples::StretchSamples;
 use crate::track::turned;
 
 /// Evenly sampled stretch of a capture with one carrier.
 #[derive(Clone, Debug)]
-pub(super) struct Stretch {
-    /// Coil voltage in volt, without its mean.
-    pub v_v: Vec<f64>,
-    /// Coil current in ampere, without its mean; positive if positive voltage feeds power into the coil.
-    pub i_a: Vec<f64>,
+pub(super) struct Stretch<'a> {
+    /// Coil voltage in volt.
+    pub v_v: StretchSamples<'a>,
+    /// Coil current in ampere; positive if positive voltage feeds power into the coil.
+    pub i_a: StretchSamples<'a>,
     /// Time from sample to sample in seconds.
     pub dt_s: f64,
     /// Approximate switching frequency in hertz, from which the phase is tracked.
@@ -67,61 +68,6 @@ pub(super) struct Edges {
     pub charge: Charge,
 }
 
-/// Charge that flowed since a stretch's first sample.
-#[derive(Clone, Debug)]
-pub(super) struct Charge {
-    /// Charge in coulomb, by the trapezoidal rule, which is accurate enough to find edges.
-    q_c: Vec<f64>,
-    /// Sums of it over all samples before each.
-    sums: Vec<f64>,
-    /// Samples of one and a half periods.
-    half: usize,
-}
-
-impl Charge {
-    fn of_stretch(stretch: &Stretch) -> Self {
-        let i_a = &stretch.i_a;
-        let (mut q, mut sum, mut before) = (0.0, 0.0, None);
-        let (mut q_c, mut sums) = (
-            Vec::with_capacity(i_a.len()),
-            Vec::with_capacity(i_a.len() + 1),
-        );
-        for i in i_a {
-            q += before.map_or(0.0, |before: f64| 0.5 * (before + i) * stretch.dt_s);
-            before = Some(*i);
-            q_c.push(q);
-            sums.push(sum);
-            sum += q;
-        }
-        sums.push(sum);
-        Self {
-            q_c,
-            sums,
-            half: ((1.5 * stretch.per_period()).round() as usize).max(1),
-        }
-    }
-
-    /// Charge in coulomb at the carrier's frequency, sample by sample of a range: less its mean over three periods.
-    pub fn swinging_c(&self, samples: Range<usize>) -> Vec<f64> {
-        let (half, last) = (self.half, self.q_c.len());
-        let mut q_c = self.q_c[samples.clone()].to_vec();
-        if samples.start >= half && samples.end + half <= last {
-            let before = &self.sums[samples.start - half..samples.end - half];
-            let after = &self.sums[samples.start + half..samples.end + half];
-            let count = 2.0 * half as f64;
-            for (q, (a, b)) in q_c.iter_mut().zip(before.iter().zip(after)) {
-                *q -= (b - a) / count;
-            }
-            return q_c;
-        }
-        for (q, k) in q_c.iter_mut().zip(samples) {
-            let (a, b) = (k.saturating_sub(half), (k + half).min(last));
-            *q -= (self.sums[b] - self.sums[a]) / (b - a).max(1) as f64;
-        }
-        q_c
-    }
-}
-
 /// Switching periods in a frame, and from frame to frame.
 const FRAME: f64 = 4.0;
 const HOP: f64 = 2.0;
@@ -136,7 +82,7 @@ const MAX_STEPS: usize = 20_000;
 /// than a fiftieth of an edge.
 const STEP: f64 = 0.01;
 
-impl Stretch {
+impl Stretch<'_> {
     /// Number of samples per period.
     pub fn per_period(&self) -> f64 {
         1.0 / (self.f_sw_hz * self.dt_s)
@@ -144,12 +90,18 @@ impl Stretch {
 
     /// 1/C in 1/farad: the median ratio of voltage steps to the charge that flowed. The few steps that contain an edge do not
     /// change the median.
-    fn elastance(&self, q_c: &[f64]) -> Option<f64> {
+    fn elastance(&self) -> Option<f64> {
         let m = ((0.05 * self.per_period()) as usize).max(1);
         let every = (self.v_v.len() / MAX_STEPS).max(1);
+        let (mut i_buffer, mut q_c) = (Vec::new(), Vec::new());
+        let mut flowed_c = |k: usize| {
+            let i_a = self.i_a.block(k..k + m + 1, &mut i_buffer);
+            charge_c(i_a, self.dt_s, &mut q_c);
+            q_c[m] - q_c[0]
+        };
         let mut steps: Vec<(f64, f64)> = (0..self.v_v.len().saturating_sub(m))
             .step_by(every)
-            .map(|k| (self.v_v[k + m] - self.v_v[k], q_c[k + m] - q_c[k]))
+            .map(|k| (self.v_v.at(k + m) - self.v_v.at(k), flowed_c(k)))
             .filter(|(_, q)| *q != 0.0)
             .map(|(v, q)| (-v / q, q.abs()))
             .collect();
@@ -171,9 +123,10 @@ impl Stretch {
             return None;
         }
         let omega = TAU * self.f_sw_hz;
-        let weights = turned(&hann(frame), 4.0 / frame as f64, omega * self.dt_s);
-        let phasor = |x: &[f64], from: usize| {
-            let [re, im] = weighted_sums(&x[from..from + frame], [&weights[0], &weights[1]]);
+        let [cos, minus_sin] = &turned(&hann(frame), 4.0 / frame as f64, omega * self.dt_s);
+        let of_weights = [cos, minus_sin].map(|weights| weights.iter().sum());
+        let phasor = |x: &StretchSamples<'_>, from: usize| {
+            let [re, im] = x.weighted_sums(from..from + frame, [cos, minus_sin], of_weights);
             Complex::new(re, im) * Complex::from_polar(1.0, -omega * self.dt_s * from as f64)
         };
         let mut frames = Vec::new();
@@ -208,18 +161,18 @@ impl Stretch {
     }
 
     /// Root mean square of steps of v + q/C by phase, each relative to the bridge's amplitude at that time.
-    fn fold(&self, track: &Track, elastance: f64, q_c: &[f64]) -> Fold {
+    fn fold(&self, track: &Track, elastance: f64) -> Fold {
         let least_v = MIN_AMPLITUDE_SHARE * track.largest_v();
         let bins = (3.0 * self.per_period()).clamp(24.0, 512.0) as usize;
         let m = ((STEP * self.per_period()).round() as usize).max(1);
         let mut sums = vec![(0.0, 0u32); bins];
         let (mut squares, mut places) = ([0.0; WALKED], [0.0; WALKED]);
+        let [mut v_buffer, mut i_buffer, mut q] = [const { Vec::new() }; 3];
         track.walk(m..self.v_v.len(), |range, between| {
             let (squares, places) = (&mut squares[..range.len()], &mut places[..range.len()]);
-            let (v, q) = (
-                &self.v_v[range.start - m..range.end],
-                &q_c[range.start - m..range.end],
-            );
+            let samples = range.start - m..range.end;
+            let v = self.v_v.block(samples.clone(), &mut v_buffer);
+            charge_c(self.i_a.block(samples, &mut i_buffer), self.dt_s, &mut q);
             vectorised(
                 #[inline(always)]
                 || {
@@ -262,12 +215,11 @@ impl Stretch {
 
     /// Carrier, and the phases between its edges; `None` if nothing switches, or no two edges are found.
     pub fn edges(&self) -> Option<Edges> {
-        let charge = Charge::of_stretch(self);
-        let elastance = self.elastance(&charge.q_c)?;
+        let elastance = self.elastance()?;
         let track = self.track(elastance)?;
         Some(Edges {
-            between: self.fold(&track, elastance, &charge.q_c).between_edges()?,
-            charge,
+            between: self.fold(&track, elastance).between_edges()?,
+            charge: Charge::compute(&self.i_a, self.dt_s, self.per_period()),
             track,
         })
     }

@@ -3,13 +3,13 @@
 use std::f64::consts::TAU;
 
 use ihd_signal::segment::Segment;
-use ihd_signal::vectorised::{sum, vectorised};
-use ihd_signal::{Capture, Load};
+use ihd_signal::{Capture, Load, RawSamples, Samples};
 
 use super::choose::{MIN_SKEW_GAIN, ModelChoice};
 use super::edges::Stretch;
 use super::error::BlindError;
 use super::fit::{FittedValue, Model};
+use super::samples::StretchSamples;
 use super::self_calibration::{MIN_LAG_SIGMAS, ModelTests, SelfCalibration, SensorResponse};
 use super::settle::{SettledChoice, settle};
 use crate::clipping::level_step;
@@ -76,8 +76,8 @@ pub fn estimate(
             continue;
         };
         stretches.push(Stretch {
-            v_v: less_mean(v, 1.0),
-            i_a: less_mean(i, sign),
+            v_v: StretchSamples::captured(v, 1.0),
+            i_a: StretchSamples::captured(i, sign),
             dt_s: span.dt_s,
             f_sw_hz: span.f_sw_hz,
         });
@@ -104,27 +104,22 @@ pub fn estimate_segment(
         .len()
         .min(segment.i_a.len())
         .min(MAX_STRETCH_SAMPLES);
+    // The offset of single-precision samples is part of their mean.
+    let of = |x| match Samples::raw(x) {
+        RawSamples::Singles(x, _) => StretchSamples::captured(&x[..n], 1.0),
+        RawSamples::Doubles(x) => StretchSamples::copied(&x[..n]),
+    };
     let one = [Stretch {
-        v_v: less_mean(&segment.v_v[..n], 1.0),
-        i_a: less_mean(&segment.i_a[..n], 1.0),
+        v_v: of(&segment.v_v),
+        i_a: of(&segment.i_a),
         dt_s: segment.dt_s,
         f_sw_hz: segment.f_sw_hz,
     }];
     judged(&one, segment.f_sw_hz, load, known_capacitance_f, settling_s)
 }
 
-/// Samples of a sign less their mean.
-fn less_mean<T: Copy + Into<f64>>(x: &[T], sign: f64) -> Vec<f64> {
-    let sum = vectorised(
-        #[inline(always)]
-        || sum(x),
-    );
-    let mean = sign * sum / x.len().max(1) as f64;
-    x.iter().map(|x| sign * (*x).into() - mean).collect()
-}
-
 fn judged(
-    stretches: &[Stretch],
+    stretches: &[Stretch<'_>],
     f_sw_hz: f64,
     load: Option<Load>,
     known_capacitance_f: Option<f64>,

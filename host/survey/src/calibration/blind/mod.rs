@@ -14,6 +14,7 @@
 
 mod basis;
 mod calibrated_capture;
+mod charge;
 mod choose;
 mod correction;
 mod edges;
@@ -22,6 +23,7 @@ mod estimate;
 mod fit;
 mod plateau;
 mod remarks;
+mod samples;
 mod self_calibration;
 mod settle;
 mod straighten;

@@ -1,7 +1,8 @@
 //! Plateaus: voltage and current between two edges, as coefficients of polynomials.
 
 use super::basis::{Bases, MIN_SAMPLES};
-use super::edges::{Carrier, Charge, Edges, MIN_AMPLITUDE_SHARE, Stretch};
+use super::charge::Charge;
+use super::edges::{Carrier, Edges, MIN_AMPLITUDE_SHARE, Stretch};
 
 /// Times in seconds that are left out around edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +59,7 @@ const MAX_PLATEAUS: usize = 6_000;
 
 /// Plateaus of a stretch, between given edges. `settling_s` is the time constant of a filter's tail after each edge.
 pub(super) fn of_stretch(
-    stretch: &Stretch,
+    stretch: &Stretch<'_>,
     edges: &Edges,
     guards: Guards,
     settling_s: Option<f64>,
@@ -121,7 +122,7 @@ struct Tail {
 }
 
 fn plateau(
-    stretch: &Stretch,
+    stretch: &Stretch<'_>,
     (from, to): (usize, usize),
     side: usize,
     carrier: Carrier,
@@ -131,14 +132,15 @@ fn plateau(
     let basis = bases.get_or_create(to - from);
     let dt_s = stretch.dt_s;
     let half_s = 0.5 * (to - from - 1) as f64 * dt_s;
-    let v = basis.project(&stretch.v_v[from..to]);
-    let i = basis.project(&stretch.i_a[from..to]);
+    let mut buffer = Vec::new();
+    let v = basis.project(stretch.v_v.block(from..to, &mut buffer));
+    let i = basis.project(stretch.i_a.block(from..to, &mut buffer));
     let mut cubed = basis.at_samples(&i);
     cubed.iter_mut().for_each(|x| *x = x.powi(3));
     let cubes = basis.project(&cubed);
     let mut charge = basis.integrated(&i, half_s);
     // The charge's level enters its integral.
-    charge[0] = basis.level(&charged.swinging_c(from..to));
+    charge[0] = basis.level(charged.swinging_c(&stretch.i_a, from..to));
     let slope = basis.derived(&i, half_s);
     let bend = basis.derived(&slope, half_s);
     let area = basis.integrated(&charge, half_s);

@@ -6,6 +6,7 @@ use super::choose::{ModelChoice, choose};
 use super::correction::Correction;
 use super::edges::Stretch;
 use super::error::BlindError;
+use super::samples::StretchSamples;
 
 /// Result after such a correction; both times are 0 if there was none.
 pub(super) struct SettledChoice {
@@ -31,7 +32,7 @@ const ROUND_S: f64 = 0.2e-9;
 
 /// Chooses a model, and searches for faults that reach over the edges if a skew explains too little.
 pub(super) fn settle(
-    stretches: &[Stretch],
+    stretches: &[Stretch<'_>],
     settling_s: Option<f64>,
 ) -> Result<SettledChoice, BlindError> {
     let plain = choose(stretches, settling_s)?;
@@ -92,11 +93,11 @@ fn share(chosen: &ModelChoice) -> f64 {
 }
 
 fn choose_corrected(
-    stretches: &[Stretch],
+    stretches: &[Stretch<'_>],
     alike: &Correction,
     settling_s: Option<f64>,
 ) -> Option<ModelChoice> {
-    let corrected: Vec<Stretch> = stretches.iter().map(|s| s.corrected(alike)).collect();
+    let corrected: Vec<_> = stretches.iter().map(|s| s.corrected(alike)).collect();
     choose(&corrected, settling_s).ok()
 }
 
@@ -118,15 +119,20 @@ fn refined(start: f64, look: impl Fn(f64) -> Option<ModelChoice>) -> Option<(f64
     Some((number, now))
 }
 
-impl Stretch {
-    fn corrected(&self, correction: &Correction) -> Self {
-        let mut out = self.clone();
-        correction.filter(&mut out.v_v, &mut out.i_a, self.dt_s);
+impl Stretch<'_> {
+    fn corrected(&self, correction: &Correction) -> Stretch<'static> {
+        let (mut v_v, mut i_a) = (self.v_v.to_vec(), self.i_a.to_vec());
+        correction.filter(&mut v_v, &mut i_a, self.dt_s);
         if correction.skew_s != 0.0 {
-            let mut late: Vec<f32> = out.i_a.iter().map(|i| *i as f32).collect();
+            let mut late: Vec<f32> = i_a.iter().map(|i| *i as f32).collect();
             delay(&mut late, correction.skew_s / self.dt_s);
-            out.i_a = late.into_iter().map(f64::from).collect();
+            i_a = late.into_iter().map(f64::from).collect();
         }
-        out
+        Stretch {
+            v_v: StretchSamples::Doubles(v_v),
+            i_a: StretchSamples::Doubles(i_a),
+            dt_s: self.dt_s,
+            f_sw_hz: self.f_sw_hz,
+        }
     }
 }
