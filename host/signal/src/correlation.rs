@@ -138,31 +138,32 @@ fn sums_of<const ORDERS: usize>(x: &[f64], weights: &[[f64; ORDERS]]) -> [f64; O
     if ORDERS == 1 {
         return [dot(weights.as_flattened(), x); ORDERS];
     }
-    // Two samples at a time.
+    // Four samples at a time: with fewer, each addition would wait for the one before.
     let x = &x[..x.len().min(weights.len())];
-    let (pairs, last) = x.as_chunks::<2>();
-    let (weight_pairs, _) = weights.as_chunks::<2>();
-    let mut sums = [[0.0; ORDERS]; 2];
-    for (x, weights) in pairs.iter().zip(weight_pairs) {
-        for lane in 0..2 {
+    let (fours, last) = x.as_chunks::<4>();
+    let (weight_fours, _) = weights.as_chunks::<4>();
+    let mut sums = [[0.0; ORDERS]; 4];
+    for (x, weights) in fours.iter().zip(weight_fours) {
+        for lane in 0..4 {
             for h in 0..ORDERS {
                 sums[lane][h] += x[lane] * weights[lane][h];
             }
         }
     }
-    for (x, weights) in last.iter().zip(&weights[2 * pairs.len()..]) {
+    for (x, weights) in last.iter().zip(&weights[4 * fours.len()..]) {
         for h in 0..ORDERS {
             sums[0][h] += x * weights[h];
         }
     }
-    std::array::from_fn(|h| sums[0][h] + sums[1][h])
+    std::array::from_fn(|h| (sums[0][h] + sums[1][h]) + (sums[2][h] + sums[3][h]))
 }
 
 /// Σ x·w of each of two weights.
 pub fn weighted_sums<T: Copy + Into<f64>>(x: &[T], weights: [&[f64]; 2]) -> [f64; 2] {
+    // An array's `map` would not be inlined.
     vectorised(
         #[inline(always)]
-        || weights.map(|weights| dot(weights, x)),
+        || [dot(weights[0], x), dot(weights[1], x)],
     )
 }
 

@@ -119,15 +119,18 @@ impl Sums {
     fn accumulate(x: &[f32]) -> Self {
         const LANES: usize = 16;
         let (mut min, mut max) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-        for x in x.chunks(LANES) {
-            for (min, x) in min.iter_mut().zip(x) {
-                *min = if *x < *min { *x } else { *min };
+        let (whole, rest) = x.as_chunks::<LANES>();
+        for x in whole {
+            for k in 0..LANES {
+                min[k] = if x[k] < min[k] { x[k] } else { min[k] };
+            }
+            for k in 0..LANES {
+                max[k] = if x[k] > max[k] { x[k] } else { max[k] };
             }
         }
-        for x in x.chunks(LANES) {
-            for (max, x) in max.iter_mut().zip(x) {
-                *max = if *x > *max { *x } else { *max };
-            }
+        for x in rest {
+            min[0] = if *x < min[0] { *x } else { min[0] };
+            max[0] = if *x > max[0] { *x } else { max[0] };
         }
         let (mut wide, mut square) = ([0.0; PART_SAMPLES], 0.0);
         for x in x.chunks(PART_SAMPLES) {

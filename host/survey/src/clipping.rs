@@ -185,12 +185,19 @@ fn extent(x: &[f32]) -> (f64, f64) {
         #[inline(always)]
         || {
             let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-            for x in x.chunks(LANES) {
-                for (k, x) in x.iter().enumerate() {
-                    // Both comparisons are false for NaN.
-                    low[k] = if *x < low[k] { *x } else { low[k] };
-                    high[k] = if *x > high[k] { *x } else { high[k] };
+            let (whole, rest) = x.as_chunks::<LANES>();
+            // Both comparisons are false for NaN.
+            for x in whole {
+                for k in 0..LANES {
+                    low[k] = if x[k] < low[k] { x[k] } else { low[k] };
                 }
+                for k in 0..LANES {
+                    high[k] = if x[k] > high[k] { x[k] } else { high[k] };
+                }
+            }
+            for x in rest {
+                low[0] = if *x < low[0] { *x } else { low[0] };
+                high[0] = if *x > high[0] { *x } else { high[0] };
             }
             (low, high)
         },

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ihd_signal::Capture;
 use ihd_signal::fourier::{self, RealToComplex};
+use ihd_signal::vectorised::{sum, vectorised};
 use nalgebra::Complex;
 
 use super::time::Run;
@@ -124,19 +125,17 @@ impl Lines {
 }
 
 fn averaged(x: &[f32], every: usize) -> Vec<f64> {
-    const LANES: usize = 8;
     let scale = 1.0 / every as f64;
-    let sum = |x: &[f32]| {
-        let (whole, rest) = x.as_chunks::<LANES>();
-        let mut sums = [0.0; LANES];
-        for x in whole {
-            for k in 0..LANES {
-                sums[k] += f64::from(x[k]);
+    let mut means = vec![0.0; x.len() / every];
+    vectorised(
+        #[inline(always)]
+        || {
+            for (mean, x) in means.iter_mut().zip(x.chunks_exact(every)) {
+                *mean = scale * sum(x);
             }
-        }
-        sums.iter().sum::<f64>() + rest.iter().map(|x| f64::from(*x)).sum::<f64>()
-    };
-    x.chunks_exact(every).map(|x| scale * sum(x)).collect()
+        },
+    );
+    means
 }
 
 /// Spectrum of Hann-windowed frames of voltage and current together, each relative to its own power.

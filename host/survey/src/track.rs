@@ -51,12 +51,22 @@ pub fn hann(n: usize) -> Vec<f64> {
 
 /// Real and imaginary part of `scale` times a window times e^{-jφ}, whose phase φ grows by `turn` radian a sample.
 pub fn turned(window: &[f64], scale: f64, turn: f64) -> [Vec<f64>; 2] {
-    let of = |part: fn(f64) -> f64| {
-        let weights = window.iter().map(|w| scale * w);
-        let turned = weights.enumerate().map(|(k, w)| w * part(turn * k as f64));
-        turned.collect()
+    // The phase of a sample is that of the first of so many, and one of a table.
+    const TABLE: usize = 64;
+    let phasor = |k: usize| {
+        let (sin, cos) = libm::sincos(turn * k as f64);
+        Complex::new(cos, -sin)
     };
-    [of(libm::cos), of(|phase| -libm::sin(phase))]
+    let table: Vec<Complex<f64>> = (0..TABLE).map(phasor).collect();
+    let of_table = |(n, window): (usize, &[f64])| {
+        let first = phasor(n * TABLE) * scale;
+        let each = window.iter().zip(&table);
+        each.map(|(w, turned)| first * turned * *w)
+            .collect::<Vec<_>>()
+    };
+    let all = window.chunks(TABLE).enumerate().flat_map(of_table);
+    let (re, im) = all.map(|z| (z.re, z.im)).unzip();
+    [re, im]
 }
 
 /// Phasors of a run at `f_hz` in hertz, frames overlapping by half.
