@@ -57,30 +57,23 @@ impl<const ORDERS: usize> CentredHarmonics<ORDERS> {
     pub fn sums(&self, first: usize, x: &[f64]) -> [Complex<f64>; ORDERS] {
         let (before, after) = x.split_at(x.len() / 2);
         let (middle, after) = after.split_at(after.len() - before.len());
-        let [re, im] = vectorised(
+        let mut parts = vec![[[0.0; LANES]; 2]; self.cos.len()];
+        let pairs = after.chunks(LANES).zip(before.rchunks(LANES));
+        for ([even, odd], (after, before)) in parts.iter_mut().zip(pairs) {
+            for (k, (b, a)) in after.iter().zip(before.iter().rev()).enumerate() {
+                (even[k], odd[k]) = (b + a, b - a);
+            }
+        }
+        let mut all = [[[0.0; LANES]; ORDERS]; 2];
+        vectorised(
             #[inline(always)]
             || {
-                let mut sums = [[[0.0; LANES]; ORDERS]; 2];
-                let pairs = after.chunks(LANES).zip(before.rchunks(LANES));
-                for ((after, before), (cos, sin)) in pairs.zip(self.cos.iter().zip(&self.sin)) {
-                    let (mut even, mut odd) = ([0.0; LANES], [0.0; LANES]);
-                    for (k, (b, a)) in after.iter().zip(before.iter().rev()).enumerate() {
-                        (even[k], odd[k]) = (b + a, b - a);
-                    }
-                    for h in 0..ORDERS {
-                        for k in 0..LANES {
-                            sums[0][h][k] += even[k] * cos[h][k];
-                        }
-                    }
-                    for h in 0..ORDERS {
-                        for k in 0..LANES {
-                            sums[1][h][k] += odd[k] * sin[h][k];
-                        }
-                    }
-                }
-                sums
+                let [re, im] = &mut all;
+                weigh(re, parts.iter().map(|part| &part[0]), &self.cos);
+                weigh(im, parts.iter().map(|part| &part[1]), &self.sin);
             },
         );
+        let [re, im] = &all;
         let (middle, turn) = (middle.iter().sum::<f64>(), self.turn(first));
         let sum = |lanes: &[f64; LANES]| lanes.iter().sum::<f64>();
         std::array::from_fn(|h| Complex::new(middle + sum(&re[h]), -sum(&im[h])) * turn[h])
@@ -116,6 +109,30 @@ impl<const ORDERS: usize> CentredHarmonics<ORDERS> {
                 }
             },
         );
+    }
+}
+
+/// Orders that are summed together: as many sums as there are registers for.
+const TOGETHER: usize = 4;
+
+/// Adds samples times the table of each order.
+#[inline(always)]
+fn weigh<'a, const ORDERS: usize>(
+    sums: &mut [[f64; LANES]; ORDERS],
+    samples: impl Iterator<Item = &'a [f64; LANES]> + Clone,
+    tables: &[Table<ORDERS>],
+) {
+    for (group, sums) in sums.chunks_mut(TOGETHER).enumerate() {
+        let mut these = [[0.0; LANES]; TOGETHER];
+        for (x, table) in samples.clone().zip(tables) {
+            let table = &table[group * TOGETHER..];
+            for (sum, table) in these.iter_mut().zip(table) {
+                for k in 0..LANES {
+                    sum[k] += x[k] * table[k];
+                }
+            }
+        }
+        sums.copy_from_slice(&these[..sums.len()]);
     }
 }
 

@@ -149,29 +149,103 @@ fn driven_current(
     mut trajectory: TrajectoryCursor<'_>,
     mut sink: impl FnMut(usize, &[f32], &[f64]),
 ) {
-    let rate_hz = 1.0 / segment.dt_s;
-    let (mut i, mut before) = (None, 0.0);
+    let (mut last, mut before) = (None, 0.0);
     let mut current = Vec::with_capacity(Samples::CHUNK);
+    let mut steps = Steps::new(segment.dt_s);
     for_chunks(segment, Samples::CHUNK, |first, v_v, i_a| {
         current.clear();
-        for (k, v) in v_v.iter().enumerate() {
-            let at = match i {
-                None => i_a[k],
-                Some(at) => {
-                    let t_s = segment.t_s(first + k) - 0.5 * segment.dt_s;
-                    let (r, l) = trajectory.r_l(t_s);
-                    let (inertia, half) = (l * rate_hz, 0.5 * r);
-                    // Two independent factors; with the division last, each sample would wait for the one before.
-                    let share = 1.0 / (inertia + half);
-                    let driven: f64 = 0.5 * (before + v) * share;
-                    at * ((inertia - half) * share) + driven
-                }
-            };
-            (i, before) = (Some(at), *v);
-            current.push(at as f32);
+        if last.is_none() {
+            (last, before) = (Some(i_a[0]), v_v[0]);
+            current.push(i_a[0] as f32);
+        }
+        while current.len() < v_v.len() {
+            let from = current.len();
+            let t_s = segment.t_s(first + from) - 0.5 * segment.dt_s;
+            let count = steps.compute(&mut trajectory, t_s, before, &v_v[from..]);
+            before = v_v[from + count - 1];
+            last = last.map(|at| steps.take(count, at, &mut current));
         }
         sink(first, &current, i_a);
     });
+}
+
+/// Steps of the current from sample to sample, i = decay·i + driven.
+struct Steps {
+    dt_s: f64,
+    r_ohm: [f64; PART],
+    l_h: [f64; PART],
+    decay: [f64; PART],
+    driven: [f64; PART],
+}
+
+impl Steps {
+    fn new(dt_s: f64) -> Self {
+        let [r_ohm, l_h, decay, driven] = [[0.0; PART]; 4];
+        Self {
+            dt_s,
+            r_ohm,
+            l_h,
+            decay,
+            driven,
+        }
+    }
+
+    /// Computes steps by the trapezoidal rule, the middle of the first one at `t_s` seconds, from the voltage before it and those at the
+    /// ends of the steps; returns how many.
+    fn compute(
+        &mut self,
+        trajectory: &mut TrajectoryCursor<'_>,
+        t_s: f64,
+        before: f64,
+        v_v: &[f64],
+    ) -> usize {
+        let most = v_v.len().min(PART);
+        let loads = [&mut self.r_ohm[..most], &mut self.l_h[..most]];
+        let count = trajectory.fill(t_s, self.dt_s, loads);
+        let rate_hz = 1.0 / self.dt_s;
+        let v_v = &v_v[..count];
+        vectorised(
+            #[inline(always)]
+            || {
+                let steps = self.decay[..count].iter_mut().zip(&mut self.driven);
+                for ((decay, driven), (r, l)) in steps.zip(self.r_ohm.iter().zip(&self.l_h)) {
+                    let (inertia, half) = (l * rate_hz, 0.5 * r);
+                    let share = 1.0 / (inertia + half);
+                    (*decay, *driven) = ((inertia - half) * share, 0.5 * share);
+                }
+                self.driven[0] *= before + v_v[0];
+                for (driven, v) in self.driven[1..count].iter_mut().zip(v_v.windows(2)) {
+                    *driven *= v[0] + v[1];
+                }
+            },
+        );
+        count
+    }
+
+    /// Takes so many steps from a current in ampere, appends where they lead, and returns the last.
+    fn take(&self, count: usize, mut i_a: f64, current: &mut Vec<f32>) -> f64 {
+        let (decay, decay_rest) = self.decay[..count].as_chunks::<4>();
+        let (driven, driven_rest) = self.driven[..count].as_chunks::<4>();
+        // Four steps as functions of the current before the first, so that only the last of them waits for it.
+        for (&[a, b, c, d], &[p, q, r, s]) in decay.iter().zip(driven) {
+            let (ab, pq) = (a * b, b * p + q);
+            let (abc, pqr) = (ab * c, c * pq + r);
+            let (all, driven) = (abc * d, d * pqr + s);
+            let four = [
+                a * i_a + p,
+                ab * i_a + pq,
+                abc * i_a + pqr,
+                all * i_a + driven,
+            ];
+            current.extend(four.map(|i| i as f32));
+            i_a = four[3];
+        }
+        for (decay, driven) in decay_rest.iter().zip(driven_rest) {
+            i_a = decay * i_a + driven;
+            current.push(i_a as f32);
+        }
+        i_a
+    }
 }
 
 /// Computes R·i + L·di/dt with the current's harmonics, in windows of a whole number of switching periods; `sink` receives it

@@ -1,5 +1,7 @@
 //! Interpolation of R, L and P/I_rms² between the points of an estimate.
 
+use ihd_signal::vectorised::vectorised;
+
 use super::Estimate;
 
 /// R and L between an estimate's points, linear, and constant before the first and after the last. The cursor only moves
@@ -45,6 +47,31 @@ impl<'a> TrajectoryCursor<'a> {
         let w = ((t_s - between.from_s) * between.per_s).clamp(0.0, 1.0);
         let at = |(first, change): (f64, f64)| first + w * change;
         (at(between.r_ohm), at(between.l_h))
+    }
+
+    /// Writes R in ohm and L in henry at times that are `step_s` seconds apart from `from_s` on, up to the estimate's next point, and
+    /// returns for how many; both slices have one length, and times must ascend from call to call.
+    pub fn fill(&mut self, from_s: f64, step_s: f64, [r_ohm, l_h]: [&mut [f64]; 2]) -> usize {
+        let known = self.between.filter(|between| from_s < between.until_s);
+        let between = known.unwrap_or_else(|| self.between_at(from_s));
+        let before_next = ((between.until_s - from_s) / step_s).ceil() as usize;
+        let count = before_next.clamp(1, r_ohm.len());
+        let (first, per_step) = (
+            (from_s - between.from_s) * between.per_s,
+            step_s * between.per_s,
+        );
+        vectorised(
+            #[inline(always)]
+            || {
+                let loads = r_ohm[..count].iter_mut().zip(&mut l_h[..count]);
+                for (k, (r, l)) in (0..count as u32).zip(loads) {
+                    let w = (first + f64::from(k) * per_step).clamp(0.0, 1.0);
+                    *r = between.r_ohm.0 + w * between.r_ohm.1;
+                    *l = between.l_h.0 + w * between.l_h.1;
+                }
+            },
+        );
+        count
     }
 
     /// R and L about a time, kept for the following ones.
