@@ -35,7 +35,7 @@ pub mod trajectory;
 
 use std::time::Duration;
 
-use ihd_signal::carrier::Carrier;
+use ihd_signal::carrier::{Carrier, HannFrames};
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::truth::Truth;
 use ihd_signal::{Remark, Segment, SegmentError};
@@ -205,9 +205,10 @@ impl Preprocessing {
     /// Errors of [`Preprocessing::new`].
     pub fn with_noise(segment: &Segment, known: Option<WhiteNoise>) -> Result<Self, SegmentError> {
         segment.check()?;
+        let frames = HannFrames::compute(segment);
         Ok(Self {
-            carrier: sweep::moving(segment),
-            steps: steps::Steps::detect(segment),
+            carrier: frames.as_ref().and_then(sweep::moving),
+            steps: steps::Steps::detect(segment, frames.as_ref()),
             noise: known.unwrap_or_else(|| WhiteNoise::measure(segment)),
         })
     }

@@ -4,7 +4,7 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use ihd_signal::carrier::Carrier;
+use ihd_signal::carrier::{Carrier, HannFrames};
 use ihd_signal::warp::Warp;
 use ihd_signal::{Remark, Segment, Severity};
 
@@ -13,7 +13,8 @@ use super::{Estimate, IdentifyError, IdentifyOptions, Method, reconstruction};
 
 /// Detects a segment's carrier; `None` if it does not move, or the method does not assume it constant.
 pub(super) fn detect(method: Method, segment: &Segment) -> Option<Carrier> {
-    takes_constant(method).then(|| moving(segment)).flatten()
+    let frames = takes_constant(method).then(|| HannFrames::compute(segment))??;
+    moving(&frames)
 }
 
 /// Returns `true` if the method assumes a constant carrier.
@@ -22,8 +23,8 @@ pub(super) fn takes_constant(method: Method) -> bool {
 }
 
 /// Carrier of a segment if it moves, else `None`.
-pub(super) fn moving(segment: &Segment) -> Option<Carrier> {
-    Carrier::from_segment(segment).filter(Carrier::moves)
+pub(super) fn moving(frames: &HannFrames) -> Option<Carrier> {
+    Carrier::from_frames(frames).filter(Carrier::moves)
 }
 
 /// Parts of a segment that are warped separately: those that the method treats separately, so that mains zero crossings keep

@@ -4,21 +4,16 @@
 //! L' = L·φ̇/ω0. This holds for any φ, so that an error of the tracked phase costs nothing while the carrier's remaining
 //! rotation is slow. [`crate::warp`] converts samples to constant frequency, the estimator finds R and L' there, and L = L'·ω0/φ̇.
 
+mod frames;
 mod smooth;
 
 use std::f64::consts::TAU;
 
-use nalgebra::Complex;
-
-use crate::correlation::weighted_sums;
-use crate::fourier::hann;
-use crate::{RawSamples, Segment};
+pub use self::frames::HannFrames;
+use crate::Segment;
 
 /// Cut-off of the tracking in hertz: a sweep of 1 kHz is followed to 2 %, and the rest is slow.
 const CUT_OFF_HZ: f64 = 2.7e3;
-
-/// Switching periods per frame, under a Hann window, whose gain is zero at the mean and at the harmonics.
-const FRAME_PERIODS: f64 = 2.0;
 
 /// Deviation in hertz within which a constant carrier has four fifths of its energy; the load turns its phase as R and L
 /// follow the current. At most 26 Hz were seen (30 kHz, near resonance), 13 Hz at 20 dB. A carrier that moves less costs
@@ -66,14 +61,7 @@ pub struct Carrier {
 impl Carrier {
     /// Follows the carrier through a segment.
     pub fn from_segment(segment: &Segment) -> Option<Self> {
-        let Segment { t0_s, dt_s, .. } = *segment;
-        // A constant offset does not pass the frames.
-        match (segment.v_v.raw(), segment.i_a.raw()) {
-            (RawSamples::Singles(v, _), RawSamples::Singles(i, _)) => {
-                Self::follow(v, i, t0_s, dt_s, segment.f_sw_hz)
-            }
-            _ => Self::follow(&segment.v_v, &segment.i_a, t0_s, dt_s, segment.f_sw_hz),
-        }
+        Self::from_frames(&HannFrames::compute(segment)?)
     }
 
     /// Follows the carrier through evenly spaced samples of voltage and current, the first at `t0_s` seconds; `f_hz` is
@@ -85,17 +73,16 @@ impl Carrier {
         dt_s: f64,
         f_hz: f64,
     ) -> Option<Self> {
-        let per_period = 1.0 / (f_hz * dt_s);
-        if !(per_period.is_finite() && per_period > 2.0) {
-            return None;
-        }
-        let frame = (FRAME_PERIODS * per_period).round() as usize;
-        let hop = (per_period.round() as usize).max(1);
-        let turns = Frames::new(frame, hop, f_hz * dt_s).turns([v_v, i_a]);
+        Self::from_frames(&HannFrames::of_samples([v_v, i_a], (t0_s, dt_s, f_hz))?)
+    }
+
+    /// Follows the carrier from frame to frame; `None` if there are too few.
+    pub fn from_frames(frames: &HannFrames) -> Option<Self> {
+        let (f_hz, step_s) = (frames.f_hz, frames.step_s());
+        let turns = frames.turns();
         if turns.len() < 4 {
             return None;
         }
-        let step_s = hop as f64 * dt_s;
         let largest = turns.iter().map(|z| z.norm()).fold(0.0, f64::max);
         if largest.is_nan() || largest <= 0.0 {
             return None;
@@ -117,7 +104,7 @@ impl Carrier {
         }));
         Some(Self {
             // Time between the middles of two frames.
-            t0_s: t0_s + (0.5 * (frame + hop) as f64) * dt_s,
+            t0_s: frames.t0_s + 0.5 * (frames.length + frames.hop) as f64 * frames.dt_s,
             step_s,
             f_hz: f,
             weight,
@@ -201,56 +188,6 @@ impl Carrier {
     pub fn values(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let pairs = self.f_hz.iter().zip(&self.weight).enumerate();
         pairs.map(|(k, (f, w))| (self.t0_s + k as f64 * self.step_s, *f, *w))
-    }
-}
-
-/// Hann-windowed frames of two periods, one a period.
-struct Frames {
-    hop: usize,
-    cos: Vec<f64>,
-    minus_sin: Vec<f64>,
-    /// Rotation of the carrier's expected frequency per hop.
-    expected: Complex<f64>,
-}
-
-impl Frames {
-    fn new(frame: usize, hop: usize, periods_per_sample: f64) -> Self {
-        let turn = |k: usize| TAU * (k as f64 * periods_per_sample).fract();
-        let hann = hann(frame);
-        let weights = || hann.iter().enumerate();
-        Self {
-            hop,
-            cos: weights().map(|(k, w)| w * libm::cos(turn(k))).collect(),
-            minus_sin: weights().map(|(k, w)| -w * libm::sin(turn(k))).collect(),
-            expected: Complex::from_polar(1.0, -turn(hop)),
-        }
-    }
-
-    /// Rotation of the fundamental from each frame to the next, beyond the expected one: a phasor from both channels, whose
-    /// magnitude is its weight by power.
-    fn turns<T: Copy + Into<f64>>(&self, channels: [&[T]; 2]) -> Vec<Complex<f64>> {
-        let mut sum: Vec<Complex<f64>> = Vec::new();
-        for x in channels {
-            let phasors = self.phasors(x);
-            let power: f64 = phasors.iter().map(Complex::norm_sqr).sum();
-            let scale = if power > 0.0 { 1.0 / power } else { 0.0 };
-            sum.resize(phasors.len().saturating_sub(1), Complex::new(0.0, 0.0));
-            for (sum, w) in sum.iter_mut().zip(phasors.windows(2)) {
-                *sum += w[1] * w[0].conj() * self.expected * scale;
-            }
-        }
-        sum
-    }
-
-    /// Fundamental of each frame, with its angle counted from the frame's first sample.
-    fn phasors<T: Copy + Into<f64>>(&self, x: &[T]) -> Vec<Complex<f64>> {
-        let frames = x.windows(self.cos.len()).step_by(self.hop);
-        frames
-            .map(|x| {
-                let [re, im] = weighted_sums(x, [&self.cos, &self.minus_sin]);
-                Complex::new(re, im)
-            })
-            .collect()
     }
 }
 

@@ -56,10 +56,11 @@ pub fn identify(
     let started = Instant::now();
     let mut estimate = Estimate::new(Method::LeastSquares, segment.f_sw_hz);
     let mut residual = ModelResidual::default();
+    let mut buffers = [Vec::new(), Vec::new()];
     let least = MIN_PERIODS * segment.samples_per_period();
     for (from, to) in segment.half_cycles() {
         if (to - from) as f64 >= least {
-            let fit = phasors::SplineFit::new(segment, from..to, settings, noise)?;
+            let fit = phasors::SplineFit::new(segment, from..to, settings, noise, &mut buffers)?;
             impedance::fit(segment, &fit, settings, noise, &mut estimate, &mut residual)?;
         }
     }

@@ -6,6 +6,7 @@ use std::ops::Range;
 use ihd_signal::Segment;
 use ihd_signal::fourier::sinc;
 use ihd_signal::noise::WhiteNoise;
+use ihd_signal::vectorised::{dot, vectorised};
 use ihd_spline::harmonic::{HarmonicFit, phasor};
 use ihd_spline::residual::Excess;
 use ihd_spline::{CubicSpline, quiet_interval_s};
@@ -64,7 +65,7 @@ pub struct Fundamental {
 }
 
 impl SplineFit {
-    /// Fits a range of samples within one mains half-cycle.
+    /// Fits a range of samples within one mains half-cycle; the buffers are used if they must be converted.
     ///
     /// # Errors
     /// [`IdentifyError::Unfit`] if the samples cannot distinguish the harmonics.
@@ -73,10 +74,9 @@ impl SplineFit {
         range: Range<usize>,
         settings: &LeastSquaresSettings,
         noise: WhiteNoise,
+        [v_buffer, i_buffer]: &mut [Vec<f64>; 2],
     ) -> Result<Self, IdentifyError> {
         let per_period = segment.samples_per_period();
-        let mut buffers = [Vec::new(), Vec::new()];
-        let [v_buffer, i_buffer] = &mut buffers;
         let (v_v, i_a) = (
             segment.v_v.block(range.clone(), v_buffer),
             segment.i_a.block(range.clone(), i_buffer),
@@ -155,7 +155,11 @@ impl SplineFit {
 
 /// Variance of a sample's noise over the mean square of the signal.
 fn relative_noise(x: &[f64], sigma: f64) -> f64 {
-    sigma * sigma * x.len() as f64 / x.iter().map(|x| x * x).sum::<f64>()
+    let square = vectorised(
+        #[inline(always)]
+        || dot(x, x),
+    );
+    sigma * sigma * x.len() as f64 / square
 }
 
 /// Root of the sum of squares of the edges' odd harmonics that lie within `band_hz` of the fundamental after sampling,

@@ -5,10 +5,10 @@
 
 use std::f64::consts::TAU;
 
-use ihd_signal::correlation::{Correlator, weighted_sums};
-use ihd_signal::fourier::hann;
+use ihd_signal::Segment;
+use ihd_signal::carrier::HannFrames;
+use ihd_signal::correlation::Correlator;
 use ihd_signal::noise::median;
-use ihd_signal::{RawSamples, Samples, Segment};
 use nalgebra::Complex;
 
 use crate::lockin::r_l;
@@ -52,8 +52,8 @@ const MIN_NOISE_RATIO: f64 = 6.5;
 const MIN_TREND_RATIO: f64 = 5.0;
 
 /// Steps in order of time.
-pub(super) fn steps(segment: &Segment) -> Vec<Step> {
-    let frames = Frames::compute(segment);
+pub(super) fn steps(segment: &Segment, frames: &HannFrames) -> Vec<Step> {
+    let frames = Frames::compute(segment, frames);
     let differences: Vec<f64> = (0..frames.z.len()).map(|k| frames.difference(k)).collect();
     let weighted = |k: usize| differences[k] * frames.current(k);
     let noise = (0..differences.len()).filter(|k| differences[*k] > 0.0);
@@ -98,32 +98,6 @@ fn trend(differences: &[f64], k: usize) -> f64 {
     x.get(x.len() / 4).copied().unwrap_or(0.0)
 }
 
-/// Hann window times e^(−jωt).
-struct Window {
-    re: Vec<f64>,
-    im: Vec<f64>,
-    /// Sums of the weights, the response to an offset of one.
-    mean: Complex<f64>,
-}
-
-impl Window {
-    fn new(length: usize, periods_per_sample: f64) -> Self {
-        let hann = hann(length);
-        let weights = || hann.iter().enumerate();
-        let turn = |k: usize| TAU * (k as f64 * periods_per_sample).fract();
-        let re: Vec<f64> = weights().map(|(k, w)| w * libm::cos(turn(k))).collect();
-        let im: Vec<f64> = weights().map(|(k, w)| -w * libm::sin(turn(k))).collect();
-        let mean = Complex::new(re.iter().sum(), im.iter().sum());
-        Self { re, im, mean }
-    }
-
-    /// Weighted sum of samples less an offset.
-    fn sum<T: Copy + Into<f64>>(&self, x: &[T], offset: f64) -> Complex<f64> {
-        let [re, im] = weighted_sums(x, [&self.re, &self.im]);
-        Complex::new(re, im) - self.mean * offset
-    }
-}
-
 /// Impedance and current of every switching period.
 struct Frames {
     /// R and ωL in ohm.
@@ -140,28 +114,15 @@ struct Frames {
 impl Frames {
     /// Computes frames of two periods under a Hann window, which suppresses offset and harmonics; the slope is taken from the
     /// frame before to the one after.
-    fn compute(segment: &Segment) -> Self {
-        let per_period = segment.samples_per_period();
-        let (length, hop) = (
-            (2.0 * per_period).round() as usize,
-            per_period.round() as usize,
-        );
-        let omega = TAU * segment.f_sw_hz;
-        let step_s = hop as f64 * segment.dt_s;
-        let window = Window::new(length, segment.f_sw_hz * segment.dt_s);
+    fn compute(segment: &Segment, of: &HannFrames) -> Self {
+        let (omega, step_s) = (TAU * segment.f_sw_hz, of.step_s());
         let turns = Correlator::new(segment, 1, [1.0]);
-        let phasor = |x: &Samples, first: usize| {
-            let sum = match x.raw() {
-                RawSamples::Doubles(x) => window.sum(&x[first..first + length], 0.0),
-                RawSamples::Singles(x, offset) => window.sum(&x[first..first + length], offset),
-            };
-            sum * turns.turn(first)[0]
+        let turned = |(k, (v, i)): (usize, (&Complex<f64>, &Complex<f64>))| {
+            let [turn] = turns.turn(k * of.hop);
+            (v * turn, i * turn)
         };
-        let starts = (0..=segment.len().saturating_sub(length)).step_by(hop.max(1));
-        let phasors: Vec<_> = starts
-            .filter(|first| first + length <= segment.len())
-            .map(|first| (phasor(&segment.v_v, first), phasor(&segment.i_a, first)))
-            .collect();
+        let both = of.v.iter().zip(&of.i);
+        let phasors: Vec<_> = both.enumerate().map(turned).collect();
         let largest = phasors
             .iter()
             .map(|p| p.1.norm())
@@ -178,7 +139,7 @@ impl Frames {
         Self {
             z,
             i,
-            t0_s: segment.t0_s + 0.5 * length as f64 * segment.dt_s + step_s,
+            t0_s: segment.t0_s + 0.5 * of.length as f64 * segment.dt_s + step_s,
             step_s,
             omega,
         }

@@ -5,6 +5,7 @@ mod detect;
 
 use std::ops::Range;
 
+use ihd_signal::carrier::HannFrames;
 use ihd_signal::segment::MIN_PERIODS;
 use ihd_signal::{Remark, Segment, Severity};
 
@@ -22,8 +23,8 @@ const MIN_GUARD_PERIODS: f64 = 1.0;
 pub(super) struct Steps(Vec<Step>);
 
 impl Steps {
-    pub(super) fn detect(segment: &Segment) -> Self {
-        Self(detect::steps(segment))
+    pub(super) fn detect(segment: &Segment, frames: Option<&HannFrames>) -> Self {
+        Self(frames.map_or(Vec::new(), |frames| detect::steps(segment, frames)))
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -52,7 +53,7 @@ pub(super) fn identify(
     let Steps(steps) = match known {
         Some(known) => known,
         None => {
-            detected = Steps::detect(segment);
+            detected = Steps::detect(segment, HannFrames::compute(segment).as_ref());
             &detected
         }
     };

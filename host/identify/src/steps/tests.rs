@@ -39,10 +39,14 @@ fn recorded(
 const LIFTED: [(f64, f64, f64); 1] = [(5e-3, 0.6, 1.35)];
 const SPOON: [(f64, f64, f64); 2] = [(5e-3, 3.0, 1.0), (5.3e-3, 1.0, 1.0)];
 
+fn steps(segment: &Segment) -> Vec<Step> {
+    Steps::detect(segment, HannFrames::compute(segment).as_ref()).0
+}
+
 #[test]
 fn steps_are_found_where_they_are_and_with_their_sizes() {
     for (rate_hz, snr_db) in [(11.37e6, None), (11.37e6, Some(20.0)), (2.57e6, Some(30.0))] {
-        let found = detect::steps(&recorded(&LIFTED, rate_hz, snr_db).1);
+        let found = steps(&recorded(&LIFTED, rate_hz, snr_db).1);
         assert_eq!(found.len(), 1, "{found:?}");
         let step = found[0];
         assert!((step.t_s - 5e-3).abs() < 20e-6, "{step:?}");
@@ -51,7 +55,7 @@ fn steps_are_found_where_they_are_and_with_their_sizes() {
         assert!((0.5..0.75).contains(&times), "{step:?}");
         let times = step.l_h.1 / step.l_h.0;
         assert!((1.2..1.55).contains(&times), "{step:?}");
-        let found = detect::steps(&recorded(&SPOON, rate_hz, snr_db).1);
+        let found = steps(&recorded(&SPOON, rate_hz, snr_db).1);
         assert_eq!(found.len(), 2, "{found:?}");
         assert!((found[0].t_s - 5.0e-3).abs() < 20e-6, "{found:?}");
         assert!((found[1].t_s - 5.3e-3).abs() < 20e-6, "{found:?}");
@@ -66,7 +70,7 @@ fn a_load_that_does_not_step_shows_no_step() {
         (1.03e6, Some(20.0)),
         (2.57e6, Some(30.0)),
     ] {
-        let found = detect::steps(&recorded(&[], rate_hz, snr_db).1);
+        let found = steps(&recorded(&[], rate_hz, snr_db).1);
         assert!(found.is_empty(), "{rate_hz} {snr_db:?}: {found:?}");
     }
 }
