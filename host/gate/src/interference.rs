@@ -6,6 +6,8 @@ mod residual;
 mod tone;
 
 use ihd_identify::Estimate;
+use ihd_identify::lockin::demodulate;
+use ihd_identify::pooled::{self, PoolPhasors};
 use ihd_signal::carrier::Carrier;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, Severity};
@@ -20,10 +22,6 @@ use crate::limits::{INFO_SHARE, TOLERABLE_PCT, WARNING_SHARE};
 /// Most phasors that are searched together, because a tone need not last longer.
 const MAX_PHASORS: usize = 8192;
 
-/// Switching periods of a boxcar: of two, three and four there is one that whole samples nearly fill, also at 61/3 samples
-/// a period, so that the harmonics lie on its zeros.
-const BOXCAR_PERIODS: f64 = 3.0;
-
 /// Switching periods of the boxcar that confirms a tone: a tone seen by one boxcar only is that boxcar's artefact.
 const CHECK_PERIODS: f64 = 5.0;
 
@@ -34,6 +32,8 @@ pub struct Interference {
     pub tones: Vec<Tone>,
     /// Fit of a static load, part by part; those parts without enough phasors are left out.
     pub fits: Vec<JointFit>,
+    /// Phasors in which all of this was found, to be pooled; `None` if there are too few, or the frequency moves.
+    pub phasors: Option<PoolPhasors>,
 }
 
 impl Interference {
@@ -142,9 +142,12 @@ pub fn remark(
 /// Searches for tones, and checks whether R and L are functions of the current alone; `noise` is the segment's.
 pub fn find(segment: &Segment, noise: WhiteNoise) -> Interference {
     let mut found = Interference::default();
-    let Some(mut residual) = Residual::demodulate(segment, BOXCAR_PERIODS) else {
+    let boxcar = pooled::boxcar(segment);
+    let phasors = demodulate(segment, boxcar);
+    let Some(mut residual) = Residual::from_phasors(segment, boxcar, &phasors) else {
         return found;
     };
+    found.phasors = Some(PoolPhasors::from_phasors(segment, noise, &phasors));
     let volt_per_pct = residual.volt_per_pct();
     found.fits = residual.joint_fits(noise, volt_per_pct, &mut found.tones);
     if !found.tones.is_empty() || !found.fits.iter().all(|f| matches!(f.cause, Cause::None)) {

@@ -130,11 +130,14 @@ fn examine_samples(
         let known = prepared.take_interference(index);
         let noise = prepared.survey.noise_of(index);
         let preprocessing = Preprocessing::with_noise(segment, noise);
-        let reference = ReferenceResults::compute(segment, &preprocessing, known);
+        let mut reference = ReferenceResults::compute(segment, &preprocessing, known);
         let shared = prepared.shared_sigma(segment.f_sw_hz);
         let lawful = preprocessing.as_ref().ok().filter(|_| is_law(&reference));
-        let of_segment =
-            lawful.map(|p| PoolPhasors::demodulate(segment, p.noise()).with_shared(shared));
+        let known = reference.phasors.take();
+        let of_segment = lawful.map(|p| {
+            let phasors = known.unwrap_or_else(|| PoolPhasors::demodulate(segment, p.noise()));
+            phasors.with_shared(shared)
+        });
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
         for &method in request.methods {

@@ -1,6 +1,7 @@
 //! Reference results for a segment, independent of the method to judge: least squares, the lock-in as a check of least
 //! squares, and foreign tones.
 
+use ihd_identify::pooled::PoolPhasors;
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, run,
     run_preprocessed,
@@ -21,6 +22,8 @@ pub struct ReferenceResults {
     pub lockin: Result<Estimate, IdentifyError>,
     /// Remarks on the segment itself.
     pub remarks: Vec<Remark>,
+    /// Phasors of the segment to be pooled; `None` if they are not known.
+    pub phasors: Option<PoolPhasors>,
 }
 
 impl ReferenceResults {
@@ -66,13 +69,14 @@ impl ReferenceResults {
         let law = found.law_remark(segment);
         let mut remarks: Vec<Remark> =
             (law.into_iter().filter(|r| !(step_is_known && is_step(r)))).collect();
-        let tones = found.tones;
+        let (tones, phasors) = (found.tones, found.phasors);
         if tones.is_empty() {
             return Self {
                 lockin: by(Method::Lockin, least_squares.as_ref().ok()),
                 least_squares,
                 cleaned: None,
                 remarks,
+                phasors,
             };
         }
         let clean = interference::remove_tones(segment, &tones);
@@ -86,6 +90,7 @@ impl ReferenceResults {
             least_squares,
             cleaned,
             remarks,
+            phasors,
         }
     }
 }

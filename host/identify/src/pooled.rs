@@ -11,7 +11,7 @@ use ihd_signal::noise::WhiteNoise;
 use nalgebra::{Cholesky, Complex, DMatrix, DVector, Dyn};
 
 use crate::Estimate;
-use crate::lockin::{Boxcar, demodulate};
+use crate::lockin::{Boxcar, LockInPhasors, demodulate};
 
 /// Current in ampere at which u begins to grow with the logarithm.
 const BEND_A: f64 = 4.0;
@@ -78,6 +78,13 @@ fn u(i_a: f64) -> f64 {
     (i_a / BEND_A).ln_1p()
 }
 
+/// Boxcar behind which the phasors of a segment are pooled: of three switching periods, as of two and four, there is one that whole
+/// samples nearly fill, also at 61/3 samples a period, so that the harmonics lie on its zeros.
+pub fn boxcar(segment: &Segment) -> Boxcar {
+    let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
+    Boxcar::fitting(per_period, f_sw_hz, BOXCAR_PERIODS / f_sw_hz)
+}
+
 /// Mean of phasors.
 #[derive(Clone, Debug, PartialEq)]
 struct Mean {
@@ -92,10 +99,8 @@ struct Mean {
     variance: f64,
 }
 
-fn means(segment: &Segment, noise: WhiteNoise) -> Vec<Mean> {
-    let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
-    let boxcar = Boxcar::fitting(per_period, f_sw_hz, BOXCAR_PERIODS / f_sw_hz);
-    let phasors = demodulate(segment, boxcar);
+fn means(segment: &Segment, noise: WhiteNoise, phasors: &[LockInPhasors]) -> Vec<Mean> {
+    let f_sw_hz = segment.f_sw_hz;
     if phasors.len() < 3 {
         return Vec::new();
     }
@@ -202,30 +207,67 @@ fn prior(mean: f64, width: f64, length: f64, spacing: f64) -> Option<DMatrix<f64
     Some(factor * mean.abs())
 }
 
+/// Equations of one quantity's unknowns in those of a prior, which are independent and have a width of one.
+struct Whitened {
+    factor: DMatrix<f64>,
+    normal: DMatrix<f64>,
+    right: DVector<f64>,
+    /// Products with the unknowns of R, which keep their own.
+    with_r: DMatrix<f64>,
+}
+
+impl Whitened {
+    /// Takes the unknowns from `first` on, with the factor of their prior.
+    fn new(equations: &Equations, first: usize, factor: DMatrix<f64>) -> Self {
+        let part = |column: usize| equations.normal.view((first, column), (EACH, EACH));
+        Self {
+            normal: factor.tr_mul(&(part(first) * &factor)),
+            right: factor.tr_mul(&equations.right.rows(first, EACH)),
+            with_r: factor.tr_mul(&part(0)),
+            factor,
+        }
+    }
+}
+
 /// Posterior of one choice of the prior.
 struct Posterior {
     evidence: f64,
-    factor: DMatrix<f64>,
     inner: Cholesky<f64, Dyn>,
-    x: DVector<f64>,
+    z: DVector<f64>,
+    factors: [DMatrix<f64>; 2],
 }
 
-fn posterior(equations: &Equations, r: &DMatrix<f64>, x: &DMatrix<f64>) -> Option<Posterior> {
-    let mut factor = DMatrix::zeros(2 * EACH, 2 * EACH);
-    factor.view_mut((0, 0), (EACH, EACH)).copy_from(r);
-    factor.view_mut((EACH, EACH), (EACH, EACH)).copy_from(x);
-    let mut inner = factor.transpose() * &equations.normal * &factor;
-    (0..2 * EACH).for_each(|k| inner[(k, k)] += 1.0);
-    let inner = inner.cholesky()?;
-    let right = factor.transpose() * &equations.right;
-    let z = inner.solve(&right);
-    let log_determinant: f64 = inner.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
-    Some(Posterior {
-        evidence: 0.5 * right.dot(&z) - log_determinant,
-        x: &factor * z,
-        factor,
-        inner,
-    })
+impl Posterior {
+    fn compute(r: &Whitened, x: &Whitened) -> Option<Self> {
+        let mut inner = DMatrix::identity(2 * EACH, 2 * EACH);
+        let mut right = DVector::zeros(2 * EACH);
+        for (first, of) in [(0, r), (EACH, x)] {
+            let mut part = inner.view_mut((first, first), (EACH, EACH));
+            part += &of.normal;
+            right.rows_mut(first, EACH).copy_from(&of.right);
+        }
+        // Only the lower triangle is read.
+        let mut across = inner.view_mut((EACH, 0), (EACH, EACH));
+        across.copy_from(&(&x.with_r * &r.factor));
+        let inner = inner.cholesky()?;
+        let z = inner.solve(&right);
+        let log_determinant: f64 = inner.l_dirty().diagonal().iter().map(|d| d.ln()).sum();
+        Some(Self {
+            evidence: 0.5 * right.dot(&z) - log_determinant,
+            inner,
+            z,
+            factors: [r.factor.clone(), x.factor.clone()],
+        })
+    }
+
+    /// Factors of both quantities as one.
+    fn factor(&self) -> DMatrix<f64> {
+        let mut factor = DMatrix::zeros(2 * EACH, 2 * EACH);
+        for (first, of) in [0, EACH].into_iter().zip(&self.factors) {
+            factor.view_mut((first, first), (EACH, EACH)).copy_from(of);
+        }
+        factor
+    }
 }
 
 /// Standard deviations that all phasors share, so that no number of them averages them out.
@@ -282,8 +324,13 @@ pub struct PoolPhasors {
 impl PoolPhasors {
     /// Demodulates a segment; `noise` is its.
     pub fn demodulate(segment: &Segment, noise: WhiteNoise) -> Self {
+        Self::from_phasors(segment, noise, &demodulate(segment, boxcar(segment)))
+    }
+
+    /// Takes phasors of a segment behind its [`boxcar`]; `noise` is its.
+    pub fn from_phasors(segment: &Segment, noise: WhiteNoise, phasors: &[LockInPhasors]) -> Self {
         Self {
-            means: means(segment, noise),
+            means: means(segment, noise, phasors),
             shared: SharedSigma::default(),
             f_sw_hz: segment.f_sw_hz,
             span_s: (segment.t0_s, segment.t_s(segment.len())),
@@ -354,14 +401,15 @@ pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
     let equations = Equations::assemble(means, from_u, spacing);
     let mut best: Option<Posterior> = None;
     for length in LENGTHS {
-        let of = |mean: f64| -> Option<Vec<DMatrix<f64>>> {
+        let of = |mean: f64, first: usize| -> Option<Vec<Whitened>> {
             let each = WIDTHS.iter().map(|w| prior(mean, *w, length, spacing));
-            each.collect()
+            each.map(|factor| Some(Whitened::new(&equations, first, factor?)))
+                .collect()
         };
-        let (r, x) = (of(r_mean)?, of(x_mean)?);
+        let (r, x) = (of(r_mean, 0)?, of(x_mean, EACH)?);
         for r in &r {
             for x in &x {
-                let Some(now) = posterior(&equations, r, x) else {
+                let Some(now) = Posterior::compute(r, x) else {
                     continue;
                 };
                 if best.as_ref().is_none_or(|b| now.evidence > b.evidence) {
@@ -371,15 +419,13 @@ pub fn pool_phasors(phasors: &PoolPhasors) -> Option<PooledLaw> {
         }
     }
     let best = best?;
-    let fitted = &best.x;
+    let factor = best.factor();
+    let fitted = &(&factor * &best.z);
     let left = equations.whole - 2.0 * equations.right.dot(fitted)
         + fitted.dot(&(&equations.normal * fitted));
     let chi2 = left.max(0.0) / equations.numbers as f64;
     // The covariance is F·M⁻¹·Fᵀ; noise that was not white widens it.
-    let half = best
-        .inner
-        .l()
-        .solve_lower_triangular(&best.factor.transpose())?;
+    let half = best.inner.l().solve_lower_triangular(&factor.transpose())?;
     let widened = chi2.max(1.0).sqrt();
     let sigma = |k: usize| widened * half.column(k).norm();
     let omega = TAU * phasors.f_sw_hz;

@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
-use ihd_identify::lockin::{Boxcar, demodulate};
+use ihd_identify::lockin::{Boxcar, LockInPhasors, demodulate};
 use ihd_signal::Segment;
 use ihd_signal::fourier::hann;
 use ihd_signal::noise::WhiteNoise;
@@ -48,7 +48,16 @@ impl Residual {
     pub(super) fn demodulate(segment: &Segment, periods: f64) -> Option<Self> {
         let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
         let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
-        let phasors = demodulate(segment, boxcar);
+        Self::from_phasors(segment, boxcar, &demodulate(segment, boxcar))
+    }
+
+    /// Takes phasors of a segment behind a boxcar; `None` if they are too few.
+    pub(super) fn from_phasors(
+        segment: &Segment,
+        boxcar: Boxcar,
+        phasors: &[LockInPhasors],
+    ) -> Option<Self> {
+        let f_sw_hz = segment.f_sw_hz;
         if phasors.len() < MIN_PHASORS {
             return None;
         }
