@@ -57,6 +57,9 @@ impl OpenFile {
 /// Magnitude from which a sample is a scope's mark: SCPI writes ±9.9E37 for an overflow, 9.91E37 for no number, some divide by ten.
 const MARK: f32 = 9e36;
 
+/// Samples that are searched for marks together.
+const PART: usize = 1024;
+
 /// Samples of one chosen channel.
 pub struct ChannelSamples {
     /// Samples in volt or ampere.
@@ -71,8 +74,14 @@ impl ChannelSamples {
     /// # Errors
     /// The sample that the factor drives beyond f32.
     pub fn new(mut values: Vec<f32>, channel: &FileChannel, factor: f64) -> Result<Self, String> {
-        let marks = values.iter_mut().filter(|x| x.abs() >= MARK);
-        marks.for_each(|x| *x = f32::INFINITY.copysign(*x));
+        let is_mark = |x: &f32| x.abs() >= MARK;
+        for part in values.chunks_mut(PART) {
+            // Without a branch, so that many samples are compared at once.
+            if part.iter().fold(false, |any, x| any | is_mark(x)) {
+                let marks = part.iter_mut().filter(|x| is_mark(x));
+                marks.for_each(|x| *x = f32::INFINITY.copysign(*x));
+            }
+        }
         if factor != 1.0 {
             for (k, x) in values.iter_mut().enumerate() {
                 let scaled = (f64::from(*x) * factor) as f32;

@@ -2,6 +2,7 @@
 //! `topics` has the layouts.
 
 use ihd_signal::truth::{ORDERS, PeriodTruth};
+use ihd_signal::vectorised::vectorised;
 
 /// Header: CDR, little-endian, no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
@@ -73,21 +74,22 @@ impl SamplesMessage {
         self.len() == 0
     }
 
-    /// Pair `k` in volt and ampere.
-    pub fn pair(&self, k: usize) -> Option<(f32, f32)> {
-        match &self.pairs {
-            Pairs::Codes {
-                volt_per_code,
-                ampere_per_code,
-                vi,
-            } => {
-                let [v, i] = vi.get(2 * k..2 * k + 2)?.try_into().ok()?;
-                let scaled = |code: i16, unit: f64| (f64::from(code) * unit) as f32;
-                Some((scaled(v, *volt_per_code), scaled(i, *ampere_per_code)))
-            }
-            Pairs::Single(vi) => {
-                let [v, i] = vi.get(2 * k..2 * k + 2)?.try_into().ok()?;
-                Some((v, i))
+    /// Appends all pairs to voltages in volt and currents in ampere.
+    pub fn append_to(&self, columns: [&mut Vec<f32>; 2]) {
+        for (k, column) in columns.into_iter().enumerate() {
+            let from = column.len();
+            column.resize(from + self.len(), 0.0);
+            let column = &mut column[from..];
+            match &self.pairs {
+                Pairs::Codes {
+                    volt_per_code,
+                    ampere_per_code,
+                    vi,
+                } => {
+                    let unit = [*volt_per_code, *ampere_per_code][k];
+                    fill(column, vi, k, |code| (f64::from(code) * unit) as f32);
+                }
+                Pairs::Single(vi) => fill(column, vi, k, |x| x),
             }
         }
     }
@@ -99,6 +101,18 @@ impl SamplesMessage {
             None => self.t0_s + k as f64 * self.dt_s,
         }
     }
+}
+
+/// Writes one value of each pair.
+fn fill<T: Copy>(column: &mut [f32], vi: &[T], k: usize, of: impl Fn(T) -> f32) {
+    vectorised(
+        #[inline(always)]
+        || {
+            for (x, pair) in column.iter_mut().zip(vi.as_chunks::<2>().0) {
+                *x = of(pair[k]);
+            }
+        },
+    );
 }
 
 struct CdrWriter(Vec<u8>);
@@ -349,8 +363,9 @@ mod tests {
         ] {
             let back = read_samples(&message, as_codes).unwrap();
             assert_eq!(back.t_s, t_s);
-            assert_eq!(back.pair(2), Some((1.0, 2.0)));
-            assert_eq!(back.pair(3), None);
+            let [mut v_v, mut i_a] = [const { Vec::new() }; 2];
+            back.append_to([&mut v_v, &mut i_a]);
+            assert_eq!((v_v, i_a), (vec![1.0; 3], vec![2.0; 3]));
             assert_eq!(back.at(2), 3e-6);
         }
     }

@@ -334,7 +334,6 @@ impl McapFrames {
     }
 
     fn read_body(&mut self, length: u64) -> Result<(), McapFileError> {
-        self.body.clear();
         // At most MAX_RECORD, and not beyond the end of the file.
         self.body.resize(length as usize, 0);
         let read = self.input.read_exact(&mut self.body);

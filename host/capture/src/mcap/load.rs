@@ -243,14 +243,9 @@ impl CaptureBuilder {
                 capture.time = TimeBase::Stamps(stamps);
             }
         }
-        for k in 0..samples.len() {
-            if let Some((v, i)) = samples.pair(k) {
-                capture.v_v.push(v);
-                capture.i_a.push(i);
-                if let TimeBase::Stamps(stamps) = &mut capture.time {
-                    stamps.push(samples.at(k));
-                }
-            }
+        samples.append_to([&mut capture.v_v, &mut capture.i_a]);
+        if let TimeBase::Stamps(stamps) = &mut capture.time {
+            stamps.extend((0..samples.len()).map(|k| samples.at(k)));
         }
     }
 }

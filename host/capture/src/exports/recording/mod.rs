@@ -161,11 +161,11 @@ impl Rows {
     }
 
     fn samples(&mut self, samples: &SamplesMessage) {
-        for k in 0..samples.len() {
-            if let Some((v, i)) = samples.pair(k) {
-                self.pairs.push((samples.at(k) - self.trigger_s, v, i));
-            }
-        }
+        let [mut v_v, mut i_a] = [const { Vec::new() }; 2];
+        samples.append_to([&mut v_v, &mut i_a]);
+        let pairs = v_v.into_iter().zip(i_a).enumerate();
+        let timed = pairs.map(|(k, (v, i))| (samples.at(k) - self.trigger_s, v, i));
+        self.pairs.extend(timed);
     }
 }
 
