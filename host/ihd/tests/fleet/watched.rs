@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::time::{Duration, SystemTime};
+use std::time::SystemTime;
 
 use async_nats::jetstream::Context;
 use ihd_fleet::{jetstream, names};
@@ -14,8 +14,11 @@ use super::server::{self, Server};
 use super::site::{PATIENCE, Site, fleet, ihd_fleet, init, status, until};
 
 async fn connect(url: &str) -> Context {
-    let client = async_nats::connect(url).await.expect("the server");
-    async_nats::jetstream::new(client)
+    let options = async_nats::ConnectOptions::new().request_timeout(Some(PATIENCE));
+    let client = options.connect(url).await.expect("the server");
+    let mut context = async_nats::jetstream::new(client);
+    context.set_timeout(PATIENCE);
+    context
 }
 
 async fn put(context: &Context, bucket: &str, key: &str, value: &serde_json::Value) {
@@ -77,17 +80,17 @@ async fn keys_that_are_renewed_faster_than_read_are_read_and_none_is_missed() {
     let (writer, stopped, renewed) = (connect(&server.url()).await, stop.clone(), keys.clone());
     let writing = tokio::spawn(async move {
         while !stopped.load(Relaxed) {
-            for key in &renewed {
+            // All are sent at once, and their acknowledgements awaited together: the server never has more than a round to do.
+            let sent = renewed.iter().map(|key| async {
                 let sent = writer.publish(names::key(names::HOBS, key), "{}".into());
-                // Its acknowledgement is not awaited: the next is sent at once.
-                drop(sent.await);
-            }
-            tokio::time::sleep(Duration::from_millis(1)).await;
+                sent.await?.await
+            });
+            futures_util::future::try_join_all(sent).await.expect("acknowledgements");
         }
     });
     for _ in 0..5 {
         let read = jetstream::entries(&context, names::HOBS);
-        let read = tokio::time::timeout(Duration::from_secs(20), read).await;
+        let read = tokio::time::timeout(PATIENCE, read).await;
         let read = read.expect("an end").expect("entries");
         let read: BTreeSet<String> = read.into_keys().collect();
         assert_eq!(read, keys.iter().cloned().collect());
