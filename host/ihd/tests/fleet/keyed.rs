@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::process::{Process, ihd};
 use crate::server::{self, Server};
-use crate::site::{PATIENCE, ihd_fleet};
+use crate::site::{PATIENCE, heat, ihd_fleet};
 
 /// Server with keys in its folder.
 struct Keyed {
@@ -162,11 +162,8 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
             && edge["trusts_fleet"] == true
             && status["workers"][0]["name"] == "worker-1"
     });
-    let mut heat = ihd(keyed.server.folder());
-    heat.args(["device", "bench", "power", "1500", "--for", "10"]);
-    let out = heat.output().unwrap();
-    assert!(out.status.success(), "{out:?} {}", keyed.logs());
-    // The number of windows in ten seconds depends on the machine; each sent window has a result.
+    heat(keyed.server.folder(), "bench", "1500");
+    // The number of windows depends on the machine; each sent window has a result.
     keyed.until("a result for each window", || {
         let status = keyed.status();
         let windows = status["windows"].as_u64();
@@ -181,7 +178,13 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     };
     let is_in_use =
         |after| last_lookup().is_some_and(|(revision, in_use)| in_use && Some(revision) > after);
-    keyed.until("the lookup of the hob", || is_in_use(None));
+    keyed.until("the lookup of the hob", || {
+        let is_there = is_in_use(None);
+        if !is_there {
+            heat(keyed.server.folder(), "bench", "1500");
+        }
+        is_there
+    });
     let (first, _) = last_lookup().expect("a lookup");
     // An operator wants an older one used: the edge pushes it, and reports it in use.
     let (text, code) = keyed.fleet("operator", &["lookup", "push", "bench", &first.to_string()]);
@@ -231,12 +234,7 @@ fn a_hob_without_rights_and_one_that_init_forgot_are_alarms_and_stop_no_other() 
     };
     init("lab-1=elsewhere");
     let (_edge, _worker) = (keyed.edge(&["aaa", "bench"]), keyed.worker());
-    let heat = |hob: &str| {
-        let mut heat = ihd(keyed.server.folder());
-        heat.args(["device", hob, "power", "1500", "--for", "3"]);
-        let out = heat.output().unwrap();
-        assert!(out.status.success(), "{out:?} {}", keyed.logs());
-    };
+    let heat = |hob| heat(keyed.server.folder(), hob, "1500");
     keyed.until("an alarm of each", || {
         let (text, code) = keyed.fleet("operator", &["status", "--check"]);
         let names = |hob: &str| text.contains(&format!("refuses hob {hob} ("));
@@ -247,7 +245,6 @@ fn a_hob_without_rights_and_one_that_init_forgot_are_alarms_and_stop_no_other() 
     assert_eq!(keyed.status()["windows"], 0, "{}", keyed.logs());
     init("lab-1=bench");
     keyed.until("windows of the one with rights, and its card", || {
-        heat("bench");
         let status = keyed.status();
         let hobs = status["devices"].as_array().cloned().unwrap_or_default();
         status["results"].as_u64() >= Some(1) && hobs.iter().any(|hob| hob["name"] == "bench")
@@ -317,13 +314,9 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
             .unwrap();
         serde_json::from_slice(&out.stdout).ok()
     };
-    let heat = || {
-        let mut heat = ihd(folder.path());
-        heat.args(["device", "bench", "power", "1500", "--for", "3"]);
-        heat.output().unwrap().status.success()
-    };
     until("a result", &|| {
-        heat() && status().is_some_and(|s| s["results"].as_u64() >= Some(1))
+        heat(folder.path(), "bench", "1500");
+        status().is_some_and(|s| s["results"].as_u64() >= Some(1))
     });
 
     // A restart in the same folder continues with its data.

@@ -4,7 +4,7 @@ use async_nats::HeaderMap;
 
 use super::robust::assert_whole;
 use super::server::Server;
-use super::site::{PATIENCE, Site, Worker, fleet, init, status, until};
+use super::site::{PATIENCE, Site, Worker, fleet, heat, init, status, until};
 
 /// Returns the number of windows of the site's store in a state; `None` while its daemon does not answer.
 fn windows(site: &Site, state: &str) -> Option<u64> {
@@ -23,7 +23,7 @@ fn an_edge_learns_by_itself_while_its_server_stalls() {
     until("results of the worker", PATIENCE, || {
         let trusted = || status(&url).is_some_and(|s| s["edges"][0]["trusts_fleet"] == true);
         site.is_idle(&hob) && {
-            site.device(&[&hob, "power", "1500", "--for", "5"]);
+            heat(site.path(), &hob, "1500");
             site.results().len() >= 5 && trusted()
         }
     });
@@ -31,7 +31,7 @@ fn an_edge_learns_by_itself_while_its_server_stalls() {
     server.freeze();
     // Answers that came before may still be read. They are counted after the results.
     until("results of the edge itself", PATIENCE, || {
-        site.device(&[&hob, "power", "1200", "--for", "5"]);
+        heat(site.path(), &hob, "1200");
         let results = site.results().len() as u64;
         windows(&site, "answered").is_some_and(|answered| results > answered + 3)
     });

@@ -85,7 +85,9 @@ async fn keys_that_are_renewed_faster_than_read_are_read_and_none_is_missed() {
                 let sent = writer.publish(names::key(names::HOBS, key), "{}".into());
                 sent.await?.await
             });
-            futures_util::future::try_join_all(sent).await.expect("acknowledgements");
+            futures_util::future::try_join_all(sent)
+                .await
+                .expect("acknowledgements");
         }
     });
     for _ in 0..5 {
