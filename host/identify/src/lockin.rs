@@ -145,6 +145,8 @@ pub struct Lockin {
     first_sum: [Complex<f64>; 2],
     second_sum: [Complex<f64>; 2],
     taken: usize,
+    /// Place of the next block among those of a boxcar.
+    at: usize,
     turns: BlockTurns,
 }
 
@@ -162,6 +164,7 @@ impl Lockin {
             first_sum: zero,
             second_sum: zero,
             taken: 0,
+            at: 0,
         }
     }
 
@@ -170,7 +173,8 @@ impl Lockin {
         let length = self.correlator.length();
         let turn = self.turns.next(&self.correlator);
         let HarmonicSums { v, i } = self.correlator.block_turned(&turn, v_v, i_a);
-        let at = self.taken % self.blocks;
+        let at = self.at;
+        self.at = if at + 1 < self.blocks { at + 1 } else { 0 };
         for (k, new) in [v[0], i[0]].into_iter().enumerate() {
             self.first_sum[k] += new - self.first[at][k];
             self.first[at][k] = new;

@@ -111,17 +111,21 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
         i_a: &[f64],
     ) -> HarmonicSums<ORDERS> {
         let (cos, sin) = (&self.cos, &self.minus_sin);
-        let sums = vectorised(
-            #[inline(always)]
-            || {
-                [
-                    sums_of(v_v, cos),
-                    sums_of(v_v, sin),
-                    sums_of(i_a, cos),
-                    sums_of(i_a, sin),
-                ]
-            },
-        );
+        let sums = if v_v.len().max(i_a.len()) <= FEW {
+            [few(v_v, cos), few(v_v, sin), few(i_a, cos), few(i_a, sin)]
+        } else {
+            vectorised(
+                #[inline(always)]
+                || {
+                    [
+                        sums_of(v_v, cos),
+                        sums_of(v_v, sin),
+                        sums_of(i_a, cos),
+                        sums_of(i_a, sin),
+                    ]
+                },
+            )
+        };
         let phasor = |re: &[f64; ORDERS], im: &[f64; ORDERS]| {
             std::array::from_fn(|h| Complex::new(re[h], im[h]) * turn[h])
         };
@@ -130,6 +134,20 @@ impl<const ORDERS: usize> Correlator<ORDERS> {
             i: phasor(&sums[2], &sums[3]),
         }
     }
+}
+
+/// Samples that no long vector makes faster: the device's blocks have one.
+const FEW: usize = 4;
+
+/// Σ x·w of each order over few samples.
+fn few<const ORDERS: usize>(x: &[f64], weights: &[[f64; ORDERS]]) -> [f64; ORDERS] {
+    let mut sums = [0.0; ORDERS];
+    for (x, weights) in x.iter().zip(weights) {
+        for h in 0..ORDERS {
+            sums[h] += x * weights[h];
+        }
+    }
+    sums
 }
 
 /// Σ x·w of each order: one sample's orders after the other in `weights`.

@@ -140,8 +140,10 @@ impl Windows {
         if blocks < 8 || all < blocks {
             return None;
         }
-        let bell =
-            |k: usize, of: usize| libm::pow(libm::sin(PI * (k as f64 + 0.5) / of as f64), 4.0);
+        let bell = |k: usize, of: usize| {
+            let sine = libm::sin(PI * (k as f64 + 0.5) / of as f64);
+            (sine * sine) * (sine * sine)
+        };
         let raw: Vec<f64> = (0..blocks).map(|b| bell(b, blocks)).collect();
         let sum: f64 = raw.iter().sum();
         let times: [f64; TIMES] = std::array::from_fn(|k| bell(k, TIMES));
@@ -174,9 +176,10 @@ impl Windows {
         let mut amplitudes = [Complex::new(0.0, 0.0); 2];
         for (w, sums) in self.weights.iter().zip(&blocks[from..]) {
             for (amplitude, sum) in amplitudes.iter_mut().zip(sums) {
-                *amplitude += sum * (2.0 * w / self.block as f64);
+                *amplitude += sum * *w;
             }
         }
+        let scale = 2.0 / self.block as f64;
         let start_s = (from * self.block) as f64 * fit.dt_s;
         let length_s = self.length_s(fit);
         let mut expected = [Complex::new(0.0, 0.0); 2];
@@ -189,7 +192,7 @@ impl Windows {
             }
         }
         let gain = fit.gains.first().copied().unwrap_or(1.0);
-        std::array::from_fn(|x| amplitudes[x] - expected[x] * gain)
+        std::array::from_fn(|x| amplitudes[x] * scale - expected[x] * gain)
     }
 }
 
