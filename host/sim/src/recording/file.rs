@@ -124,16 +124,16 @@ mod tests {
         let r = short(Rate::Hz(50e6));
         write(&r, &path, true).unwrap();
         let mut reader = McapReader::open(&path).unwrap();
-        let mut clean = Vec::new();
+        let (mut clean_v, mut clean_a) = (Vec::new(), Vec::new());
         while let Some(item) = reader.next_item().unwrap() {
             if let McapItem::Message(m) = item
                 && m.topic == Topic::CleanSamples
             {
                 let samples = cdr::read_samples(m.data, m.as_codes).unwrap();
-                clean.extend((0..samples.len()).filter_map(|k| samples.pair(k)));
+                samples.append_to([&mut clean_v, &mut clean_a]);
             }
         }
-        assert_eq!(clean.len(), r.v_clean_v.len());
-        assert_eq!(clean[777].1, r.i_clean_a[777] as f32);
+        assert_eq!(clean_v.len(), r.v_clean_v.len());
+        assert_eq!(clean_a[777], r.i_clean_a[777] as f32);
     }
 }
