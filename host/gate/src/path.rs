@@ -133,11 +133,8 @@ fn examine_samples(
         let mut reference = ReferenceResults::compute(segment, &preprocessing, known);
         let shared = prepared.shared_sigma(segment.f_sw_hz);
         let lawful = preprocessing.as_ref().ok().filter(|_| is_law(&reference));
-        let known = reference.phasors.take();
-        let of_segment = lawful.map(|p| {
-            let phasors = known.unwrap_or_else(|| PoolPhasors::demodulate(segment, p.noise()));
-            phasors.with_shared(shared)
-        });
+        let of_segment = lawful.map(|p| reference.take_phasors(segment, p.noise()));
+        let of_segment = of_segment.map(|phasors| phasors.with_shared(shared));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
         for &method in request.methods {

@@ -6,6 +6,7 @@ use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, run,
     run_preprocessed,
 };
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, SegmentError};
 
 use crate::interference::{self, Interference};
@@ -23,7 +24,7 @@ pub struct ReferenceResults {
     /// Remarks on the segment itself.
     pub remarks: Vec<Remark>,
     /// Phasors of the segment to be pooled; `None` if they are not known.
-    pub phasors: Option<PoolPhasors>,
+    phasors: Option<PoolPhasors>,
 }
 
 impl ReferenceResults {
@@ -41,6 +42,12 @@ impl ReferenceResults {
     pub fn least_squares_of(&self, settings: &IdentifyOptions) -> Option<&Estimate> {
         let known = self.least_squares.as_ref().ok();
         known.filter(|_| has_default_least_squares(settings))
+    }
+
+    /// Takes the phasors of the same segment to be pooled out; `noise` is its.
+    pub fn take_phasors(&mut self, segment: &Segment, noise: WhiteNoise) -> PoolPhasors {
+        let known = self.phasors.take();
+        known.unwrap_or_else(|| PoolPhasors::demodulate(segment, noise))
     }
 
     /// Computes the reference results of a segment with its preprocessing; `known` is its interference if that is known already.
