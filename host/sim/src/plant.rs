@@ -385,7 +385,7 @@ impl Plant {
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         self.adc.filters.end_decay();
         let start = self.adc.filters.outputs();
-        self.inverter.bus.end_decay();
+        self.inverter.end_decay();
         let sample_s = STEPS_PER_SAMPLE as f64 * self.inverter.dt_s();
         let mut is_open = self.is_tripped() || self.drive.bridge == Bridge::Open;
         if !is_open && self.drive.bridge == Bridge::Switching {

@@ -247,7 +247,7 @@ impl Bus {
     }
 
     /// Ends currents and voltages that have decayed since the mains left.
-    pub(crate) fn end_decay(&mut self) {
+    pub(super) fn end_decay(&mut self) {
         let line = &mut self.line;
         for quantity in [&mut line.line_a, &mut line.terminal_v, &mut self.v] {
             *quantity = without_decayed(*quantity);

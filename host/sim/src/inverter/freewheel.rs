@@ -9,7 +9,9 @@
 
 use super::load::FluxStep;
 use super::{Instant, Inverter};
+use crate::circuit::Circuit;
 use crate::front_end::{COIL_CHAIN_OHM, MID_SCALE_V};
+use crate::low_pass::without_decayed;
 
 /// Margin of the capacitor below the bus with which the upper diode blocks for a microsecond, in volt: the steepest mains falls by
 /// 0.15 V.
@@ -56,6 +58,16 @@ impl Inverter {
             self.step -= self.steps;
         }
         self.instant()
+    }
+
+    /// Ends currents and voltages that have decayed. A subnormal voltage of the capacitor would keep a diode conducting for ever: its
+    /// current is rounded to none.
+    pub fn end_decay(&mut self) {
+        self.bus.end_decay();
+        let Circuit { i_a, v_c_v, .. } = &mut self.circuit;
+        for quantity in [i_a, v_c_v, &mut self.before_a] {
+            *quantity = without_decayed(*quantity);
+        }
     }
 
     fn conduct(&mut self, flux: &FluxStep, upper: bool, to_s: f64) {
@@ -220,6 +232,22 @@ mod tests {
             let now = inverter.advance(Bridge::Open);
             assert_eq!((now.i_a, now.bridge_v, now.coil_v), (0.0, 0.0, 0.0));
         }
+    }
+
+    /// With the lower switch on for 60 ms the tank decays below what a number of 64 bits can hold.
+    #[test]
+    fn what_decayed_before_the_switches_open_is_at_rest_a_period_later() {
+        let mut inverter = running(behavioural(PotKind::Ferromagnetic), 4.6e-3);
+        while inverter.now_s() < 0.065 {
+            inverter.end_decay();
+            inverter.advance(Bridge::LowerOn);
+        }
+        for _ in 0..STEPS {
+            inverter.end_decay();
+            inverter.advance(Bridge::Open);
+        }
+        let circuit = inverter.circuit;
+        assert_eq!((circuit.i_a, circuit.v_c_v), (0.0, 0.0));
     }
 
     /// From 160 V, by ngspice with both chains of 258.1 kΩ and 665 Ω around the amplifier at 1.65 V, and 15 nF at the node: 40.2 V
