@@ -67,6 +67,29 @@ pub fn sum<T: Copy + Into<f64>>(x: &[T]) -> f64 {
     added(sums)
 }
 
+/// Least and largest number, for use within [`vectorised`]; infinite with exchanged signs if there are none. NaN is passed over: both
+/// comparisons are false for it.
+#[inline(always)]
+pub fn extremes(x: &[f32]) -> (f32, f32) {
+    const LANES: usize = 16;
+    let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    let (whole, rest) = x.as_chunks::<LANES>();
+    for x in whole {
+        for k in 0..LANES {
+            low[k] = if x[k] < low[k] { x[k] } else { low[k] };
+        }
+        for k in 0..LANES {
+            high[k] = if x[k] > high[k] { x[k] } else { high[k] };
+        }
+    }
+    let low = low.iter().chain(rest).copied();
+    let high = high.iter().chain(rest).copied();
+    (
+        low.fold(f32::INFINITY, f32::min),
+        high.fold(f32::NEG_INFINITY, f32::max),
+    )
+}
+
 /// ln 2 in two parts, the first with 21 zeros at its end.
 pub const LN_2: (f64, f64) = (6.931_471_803_691_238e-1, 1.908_214_929_270_587_7e-10);
 
@@ -104,7 +127,7 @@ impl<R, F: FnMut() -> R> WithSimd for Loops<F> {
 
 #[cfg(test)]
 mod tests {
-    use super::{dot, ln, sum, vectorised};
+    use super::{dot, extremes, ln, sum, vectorised};
 
     #[test]
     fn sums_and_products_leave_no_sample_out() {
@@ -116,6 +139,20 @@ mod tests {
                 dot(&x[..n], &x),
                 whole * (whole + 1.0) * (2.0 * whole + 1.0) / 6.0
             );
+        }
+    }
+
+    #[test]
+    fn extremes_are_found_anywhere_and_what_is_no_number_is_none() {
+        assert_eq!(extremes(&[]), (f32::INFINITY, f32::NEG_INFINITY));
+        for n in [1, 16, 37] {
+            for k in 0..n {
+                let mut x = vec![f32::NAN; n];
+                x[k] = -2.0;
+                assert_eq!(extremes(&x), (-2.0, -2.0));
+                x[n - 1 - k] = 3.0;
+                assert_eq!(extremes(&x).1, 3.0);
+            }
         }
     }
 

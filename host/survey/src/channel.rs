@@ -1,7 +1,7 @@
 //! Numbers and findings of one channel.
 
 use ihd_signal::Capture;
-use ihd_signal::vectorised::{dot, sum, vectorised};
+use ihd_signal::vectorised::{dot, extremes, sum, vectorised};
 use serde::Serialize;
 
 use super::carrier::CarrierPiece;
@@ -117,21 +117,7 @@ impl Sums {
     /// Sums samples in lanes, which the compiler can vectorise.
     #[inline(always)]
     fn accumulate(x: &[f32]) -> Self {
-        const LANES: usize = 16;
-        let (mut min, mut max) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-        let (whole, rest) = x.as_chunks::<LANES>();
-        for x in whole {
-            for k in 0..LANES {
-                min[k] = if x[k] < min[k] { x[k] } else { min[k] };
-            }
-            for k in 0..LANES {
-                max[k] = if x[k] > max[k] { x[k] } else { max[k] };
-            }
-        }
-        for x in rest {
-            min[0] = if *x < min[0] { *x } else { min[0] };
-            max[0] = if *x > max[0] { *x } else { max[0] };
-        }
+        let (min, max) = extremes(x);
         let (mut wide, mut square) = ([0.0; PART_SAMPLES], 0.0);
         for x in x.chunks(PART_SAMPLES) {
             let wide = &mut wide[..x.len()];
@@ -139,8 +125,8 @@ impl Sums {
             square += dot(wide, wide);
         }
         Self {
-            min: f64::from(min.into_iter().fold(f32::INFINITY, f32::min)),
-            max: f64::from(max.into_iter().fold(f32::NEG_INFINITY, f32::max)),
+            min: f64::from(min),
+            max: f64::from(max),
             sum: sum(x),
             square,
         }

@@ -1,6 +1,6 @@
 //! Clipping: samples at an end of the channel's range.
 
-use ihd_signal::vectorised::vectorised;
+use ihd_signal::vectorised::{extremes, vectorised};
 
 /// Bins of the histogram over the range of the samples.
 const BINS: f64 = 128.0;
@@ -178,32 +178,12 @@ impl RangeEnd {
     }
 }
 
-/// Smallest and largest of the finite samples; infinite with exchanged signs if there are none.
+/// Smallest and largest sample; infinite with exchanged signs if there are none.
 fn extent(x: &[f32]) -> (f64, f64) {
-    const LANES: usize = 16;
     let (low, high) = vectorised(
         #[inline(always)]
-        || {
-            let (mut low, mut high) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
-            let (whole, rest) = x.as_chunks::<LANES>();
-            // Both comparisons are false for NaN.
-            for x in whole {
-                for k in 0..LANES {
-                    low[k] = if x[k] < low[k] { x[k] } else { low[k] };
-                }
-                for k in 0..LANES {
-                    high[k] = if x[k] > high[k] { x[k] } else { high[k] };
-                }
-            }
-            for x in rest {
-                low[0] = if *x < low[0] { *x } else { low[0] };
-                high[0] = if *x > high[0] { *x } else { high[0] };
-            }
-            (low, high)
-        },
+        || extremes(x),
     );
-    let low = low.into_iter().fold(f32::INFINITY, f32::min);
-    let high = high.into_iter().fold(f32::NEG_INFINITY, f32::max);
     (f64::from(low), f64::from(high))
 }
 
