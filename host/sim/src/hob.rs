@@ -173,9 +173,32 @@ impl SimHob {
             return;
         }
         let start_s = self.plant.t_s();
+        let (drive, slow) = self.run_block();
+        let end_s = self.plant.t_s();
+        self.put_in_force(drive);
+        let since_s = self.plant.mains().since_crossing_s(end_s);
+        if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
+            self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
+        }
+        self.run_link(end_s - start_s);
+        let restarts = self.run_thread(slow);
+        self.after_block();
+        if restarts {
+            self.restart();
+        }
+        let blocks = self.sampling_path.blocks();
+        if self.watchdog.bites(blocks, self.plant.t_s()) {
+            self.restart_after(ResetReason::Watchdog);
+        }
+    }
+
+    /// Takes the next block from the converters and runs the sampling path on it; returns the drive that it wants, and the codes of the
+    /// slow converter.
+    fn run_block(&mut self) -> (Drive, SlowCodes) {
+        let start_s = self.plant.t_s();
         let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
-        let (mains, end_s) = (self.plant.mains(), self.plant.t_s());
+        let end_s = self.plant.t_s();
         let half = self.plant.divided().half;
         let slow = self.slow_adc.block(self.plant.divided());
         let crossing = self.zero_crossing.on_block(slow.mains);
@@ -194,33 +217,34 @@ impl SimHob {
             }),
             lost: self.lost,
         };
-        let drive = if self.injections.on_block() {
+        let slow = SlowCodes {
+            bus: slow.bus[BUS_MEAN - 1],
+            mains: slow.mains as i16,
+        };
+        (self.run_sampling_path(&block, end_s), slow)
+    }
+
+    /// Runs the sampling path on a block that ends at `end_s` seconds, unless the block is lost; returns the drive that it wants.
+    fn run_sampling_path(&mut self, block: &AdcBlock<'_>, end_s: f64) -> Drive {
+        if self.injections.on_block() {
             // After a reset there is no last one.
             self.lost += u32::from(self.sampling_path.blocks() > 0);
-            self.sampling_path.drive()
-        } else {
-            self.lost = 0;
-            if self
-                .plant
-                .feed_sampling_watchdog(end_s + SAMPLING_WATCHDOG_S)
-                && self.sampling_path.drive().bridge != Bridge::Open
-            {
-                self.sampling_path.raise(Fault::SAMPLES_LOST);
-            }
-            self.sampling_path.on_block(&block)
-        };
-        self.put_in_force(drive);
-        let since_s = mains.since_crossing_s(end_s);
-        if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
-            self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
+            return self.sampling_path.drive();
         }
-        self.run_link(end_s - start_s);
+        self.lost = 0;
+        let due_s = end_s + SAMPLING_WATCHDOG_S;
+        let bites = self.plant.feed_sampling_watchdog(due_s);
+        if bites && self.sampling_path.drive().bridge != Bridge::Open {
+            self.sampling_path.raise(Fault::SAMPLES_LOST);
+        }
+        self.sampling_path.on_block(block)
+    }
+
+    /// Runs what the firmware's thread does between two blocks; returns `true` if it asks for a restart.
+    fn run_thread(&mut self, slow: SlowCodes) -> bool {
         self.housekeeping.poll(&mut *self.sampling_path);
         let mut board = SimulatedBoard {
-            slow: SlowCodes {
-                bus: slow.bus[BUS_MEAN - 1],
-                mains: slow.mains as i16,
-            },
+            slow,
             reference: reference(&self.injections),
             restarts: false,
         };
@@ -233,14 +257,7 @@ impl SimHob {
         self.wire_drive = self
             .housekeeping
             .share_supply(&mut *self.sampling_path, is_high);
-        self.after_block();
-        if board.restarts {
-            self.restart();
-        }
-        let blocks = self.sampling_path.blocks();
-        if self.watchdog.bites(blocks, self.plant.t_s()) {
-            self.restart_after(ResetReason::Watchdog);
-        }
+        board.restarts
     }
 
     /// Passes a drive to the bridge as the board does: both switches open and the lower one closes at once, new periods begin a

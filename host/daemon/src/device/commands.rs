@@ -43,59 +43,48 @@ impl DeviceSession<'_> {
         lease: Option<LeaseId>,
         reply: ReplySender,
     ) -> Result<(), SessionEnd> {
-        let mut session = Ok(());
-        // The lease may have ended while the command waited.
-        let is_off = matches!(command, Command::Power { power_w: 0 });
-        if let Some(id) = lease.filter(|_| !is_off) {
-            let checked = self.record.lock().lease.check(id, Instant::now());
-            if let Err(error) = checked {
-                let _ = reply.send(Err(self.refused_error(&error.to_string())));
-                return Ok(());
-            }
+        if let Err(why) = self.check_lease(&command, lease) {
+            let _ = reply.send(Err(self.refused_error(&why)));
+            return Ok(());
         }
-        let mut granted_w = None;
+        let mut session = Ok(());
         let outcome = match command {
             Command::Off | Command::Power { power_w: 0 } => {
                 let off = self.off().await;
                 let done = off.as_ref().map(|()| "off".to_owned()).map_err(describe);
                 session = off.map_err(|error| SessionEnd::Link(error.to_string()));
-                done
+                done.map(CommandReply::with_text)
             }
-            Command::Power { power_w } => self.power(lease, power_w).await.map(|granted| {
-                granted_w = Some(granted.granted_w);
-                granted.to_string()
-            }),
-            Command::Sweep { powers_w } => self.start_sweep(lease, &powers_w),
+            Command::Power { power_w } => {
+                let granted = self.power(lease, power_w).await;
+                granted.map(|granted| CommandReply {
+                    granted_w: Some(granted.granted_w),
+                    ..CommandReply::with_text(granted.to_string())
+                })
+            }
+            Command::Sweep { powers_w } => {
+                let started = self.start_sweep(lease, &powers_w);
+                started.map(CommandReply::with_text)
+            }
             Command::ClearFault => {
                 let cleared = self.link.request(Client::clear_fault).await;
-                cleared
-                    .map(|()| "fault cleared".to_owned())
-                    .map_err(|e| describe(&e))
+                let done = CommandReply::with_text("fault cleared");
+                cleared.map(|()| done).map_err(|e| describe(&e))
             }
-            Command::LookupPush { blob } => match RlLookup::from_bytes(&blob) {
-                Ok(lookup) => {
-                    // The reply is sent once the device uses the lookup.
-                    let lookup = LookupToPush::without_certainty(lookup);
-                    let why = "pushed by hand";
-                    let push = self.lookups.push(&mut self.link, lookup, why, Some(reply));
-                    let _ = push.await;
-                    return Ok(());
-                }
-                Err(why) => Err(why.to_string()),
-            },
-            Command::LookupRollback { version } => match self.lookups.find(version).await {
-                Ok(lookup) => {
-                    let why = format!("rolled back to version {}", lookup.lookup.version);
-                    let push = self.lookups.push(&mut self.link, lookup, &why, Some(reply));
-                    let _ = push.await;
-                    return Ok(());
-                }
-                Err(why) => Err(why),
-            },
             Command::LookupReset => {
                 let reset = self.lookups.reset(&mut self.link).await;
                 let done = "back to the built-in lookup; what was learned is forgotten";
-                reset.map(|()| done.to_owned()).map_err(|e| describe(&e))
+                let done = CommandReply::with_text(done);
+                reset.map(|()| done).map_err(|e| describe(&e))
+            }
+            // The others reply later: once the device uses the lookup, or the file is there.
+            Command::LookupPush { blob } => {
+                self.push_lookup(&blob, reply).await;
+                return Ok(());
+            }
+            Command::LookupRollback { version } => {
+                self.roll_back(version, reply).await;
+                return Ok(());
             }
             Command::RecordStart(settings) => {
                 self.start_recording(settings, reply).await;
@@ -106,14 +95,45 @@ impl DeviceSession<'_> {
                 return Ok(());
             }
         };
-        let _ = reply.send(match outcome {
-            Ok(text) => Ok(CommandReply {
-                granted_w,
-                ..CommandReply::with_text(text)
-            }),
-            Err(why) => Err(self.refused_error(&why)),
-        });
+        let _ = reply.send(outcome.map_err(|why| self.refused_error(&why)));
         session
+    }
+
+    /// Checks the lease of a command other than off, which may have ended while the command waited.
+    fn check_lease(&self, command: &Command, lease: Option<LeaseId>) -> Result<(), String> {
+        let is_off = matches!(command, Command::Power { power_w: 0 });
+        let Some(id) = lease.filter(|_| !is_off) else {
+            return Ok(());
+        };
+        let checked = self.record.lock().lease.check(id, Instant::now());
+        checked.map_err(|error| error.to_string())
+    }
+
+    async fn push_lookup(&mut self, blob: &[u8], reply: ReplySender) {
+        match RlLookup::from_bytes(blob) {
+            Ok(lookup) => {
+                let lookup = LookupToPush::without_certainty(lookup);
+                let why = "pushed by hand";
+                let push = self.lookups.push(&mut self.link, lookup, why, Some(reply));
+                let _ = push.await;
+            }
+            Err(why) => {
+                let _ = reply.send(Err(self.refused_error(&why.to_string())));
+            }
+        }
+    }
+
+    async fn roll_back(&mut self, version: Option<u32>, reply: ReplySender) {
+        match self.lookups.find(version).await {
+            Ok(lookup) => {
+                let why = format!("rolled back to version {}", lookup.lookup.version);
+                let push = self.lookups.push(&mut self.link, lookup, &why, Some(reply));
+                let _ = push.await;
+            }
+            Err(why) => {
+                let _ = reply.send(Err(self.refused_error(&why)));
+            }
+        }
     }
 
     fn refused_error(&self, why: &str) -> CommandError {

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use ihd_signal::carrier::Carrier;
 use ihd_signal::{Capture, Remark, Severity};
 use ihd_survey::clipping::MIN_PER_PERIOD;
-use ihd_survey::{Channel, Finding, Survey};
+use ihd_survey::{Channel, Finding, Span, Survey};
 
 use super::censored::{Censored, Pair, is_inside};
 use crate::limits::{TOLERABLE_PCT, TOLERABLE_SIGMAS};
@@ -31,49 +31,18 @@ pub struct RestoredSamples {
 
 /// Restores the samples at the ends of one channel's range; `None` if none are there, or too little beside them.
 pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<RestoredSamples> {
-    let clipped = |f: &Finding| match f {
-        Finding::Clipping {
-            channel,
-            samples,
-            level,
-        } => Some((*channel, *samples, *level)),
-        _ => None,
-    };
-    let mut all = survey.findings.iter().filter_map(clipped);
-    // If both clip, neither says what the other one was.
-    let ((channel, samples, level), None) = (all.next()?, all.next()) else {
-        return None;
-    };
-    let is_voltage = channel == Channel::Voltage;
-    let numbers = match is_voltage {
-        true => [&survey.voltage, &survey.current],
-        false => [&survey.current, &survey.voltage],
-    };
-    let margin = END_SHARE * (numbers[0].max - numbers[0].min);
-    let rails = [numbers[0].min + margin, numbers[0].max - margin];
-    let noise = [numbers[0].noise?, numbers[1].noise?];
+    let clipped = ClippedChannel::of_survey(survey)?;
     let (mut values, mut errors) = (Vec::new(), Vec::new());
     for span in &survey.spans {
-        let range = span.first..span.first + span.samples;
-        let (v, i) = (capture.v_v.get(range.clone())?, capture.i_a.get(range)?);
-        let (x, y) = if is_voltage { (v, i) } else { (i, v) };
-        if x.iter().all(|x| is_inside(*x, rails)) {
+        let pair = clipped.pair(capture, span)?;
+        if pair.x.iter().all(|x| is_inside(*x, pair.rails)) {
             continue;
         }
-        let per_period = 1.0 / (span.f_sw_hz * span.dt_s);
-        let moves =
-            || Carrier::from_segment(&survey.segment(capture, span)).is_some_and(|c| c.moves());
-        if per_period < MIN_PER_PERIOD || moves() {
+        let carrier = || Carrier::from_segment(&survey.segment(capture, span));
+        if pair.per_period < MIN_PER_PERIOD || carrier().is_some_and(|c| c.moves()) {
             return None;
         }
-        let model = Censored::fit_span(Pair {
-            x,
-            y,
-            is_voltage,
-            per_period,
-            noise,
-            rails,
-        })?;
+        let model = Censored::fit_span(pair)?;
         let parts = model.errors((PART_S * span.f_sw_hz) as usize);
         if parts.len() < MIN_PARTS {
             return None;
@@ -90,7 +59,7 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
         return None;
     }
     let capture = capture.to_mut();
-    let (x, full_scale) = match is_voltage {
+    let (x, full_scale) = match clipped.is_voltage {
         true => (&mut capture.v_v, &mut capture.v_full_scale_v),
         false => (&mut capture.i_a, &mut capture.i_full_scale_a),
     };
@@ -99,16 +68,83 @@ pub(super) fn repair(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Option<
     }
     // Values beyond the range are no clipping any more.
     *full_scale = None;
-    let (name, unit, other) = match is_voltage {
-        true => ("voltage", "V", "current"),
-        false => ("current", "A", "voltage"),
-    };
-    let text = format!(
-        "the {name} was clipped at {level:.4} {unit}, {samples} samples: they were left out, and what they were follows from \
-         the {other} and the samples beside them, R to {:.2} % and L to {:.2} %; better use a larger range",
-        100.0 * shares[0],
-        100.0 * shares[1]
-    );
-    let remark = Remark::new("clipping", Severity::Warning, text).with(samples as f64, None);
-    Some(RestoredSamples { remark, shares })
+    Some(RestoredSamples {
+        remark: clipped.remark(shares),
+        shares,
+    })
+}
+
+/// The only channel that clips.
+struct ClippedChannel {
+    is_voltage: bool,
+    /// Number of samples at the ends of its range.
+    samples: usize,
+    /// Magnitude of those samples, in the channel's unit.
+    level: f64,
+    /// Values below and above which a sample is at an end.
+    rails: [f64; 2],
+    /// Noise of a sample of this channel and of the other.
+    noise: [f64; 2],
+}
+
+impl ClippedChannel {
+    /// Returns `None` if no channel clips, or both: then neither says what the other one was.
+    fn of_survey(survey: &Survey) -> Option<Self> {
+        let clipped = |f: &Finding| match f {
+            Finding::Clipping {
+                channel,
+                samples,
+                level,
+            } => Some((*channel, *samples, *level)),
+            _ => None,
+        };
+        let mut all = survey.findings.iter().filter_map(clipped);
+        let ((channel, samples, level), None) = (all.next()?, all.next()) else {
+            return None;
+        };
+        let is_voltage = channel == Channel::Voltage;
+        let numbers = match is_voltage {
+            true => [&survey.voltage, &survey.current],
+            false => [&survey.current, &survey.voltage],
+        };
+        let margin = END_SHARE * (numbers[0].max - numbers[0].min);
+        Some(Self {
+            is_voltage,
+            samples,
+            level,
+            rails: [numbers[0].min + margin, numbers[0].max - margin],
+            noise: [numbers[0].noise?, numbers[1].noise?],
+        })
+    }
+
+    /// Returns both channels' samples of a span.
+    fn pair<'c>(&self, capture: &'c Capture, span: &Span) -> Option<Pair<'c>> {
+        let range = span.first..span.first + span.samples;
+        let (v, i) = (capture.v_v.get(range.clone())?, capture.i_a.get(range)?);
+        let (x, y) = if self.is_voltage { (v, i) } else { (i, v) };
+        Some(Pair {
+            x,
+            y,
+            is_voltage: self.is_voltage,
+            per_period: 1.0 / (span.f_sw_hz * span.dt_s),
+            noise: self.noise,
+            rails: self.rails,
+        })
+    }
+
+    /// Warning with the standard deviations of R and of L as shares.
+    fn remark(&self, shares: [f64; 2]) -> Remark {
+        let (name, unit, other) = match self.is_voltage {
+            true => ("voltage", "V", "current"),
+            false => ("current", "A", "voltage"),
+        };
+        let (level, samples) = (self.level, self.samples);
+        let text = format!(
+            "the {name} was clipped at {level:.4} {unit}, {samples} samples: they were left out, and what they were follows from \
+             the {other} and the samples beside them, R to {:.2} % and L to {:.2} %; better use a larger range",
+            100.0 * shares[0],
+            100.0 * shares[1]
+        );
+        Remark::new("clipping", Severity::Warning, text).with(samples as f64, None)
+    }
 }

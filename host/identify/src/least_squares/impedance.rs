@@ -45,66 +45,37 @@ pub fn fit(
     let omega = TAU * segment.f_sw_hz;
     let duration_s = phasors.duration_s;
     let count = intervals(settings.impedance_intervals, duration_s, segment);
-    let points = PER_INTERVAL * count;
-    let at = |k: usize| (k as f64 + 0.5) / points as f64 * duration_s;
-    let (mut v_energy, mut i_energy, mut i_energy_max) = (0.0, 0.0, 0.0f64);
-    for k in 0..points {
-        let p = phasors.at(at(k));
-        v_energy += p.v.norm_sqr();
-        i_energy += p.i.norm_sqr();
-        i_energy_max = i_energy_max.max(p.i.norm_sqr());
-    }
-    let z2 = v_energy / i_energy;
+    let grid = Grid::new(phasors, PER_INTERVAL * count, noise);
     let spline = RationalSpline::new(
         CubicSpline::new(count, duration_s),
         |tau_s| phasors.at(tau_s).i.norm(),
-        i_energy_max.sqrt(),
+        grid.i_square_max.sqrt(),
     );
-    // Variance of one component of V − Z·I, shared by the points of an interval.
-    let floor = NOISE_FLOOR * NOISE_FLOOR * v_energy / points as f64;
-    let white = noise.v_v * noise.v_v + z2 * noise.i_a * noise.i_a;
-    let variance = 2.0 * white / phasors.samples_per_interval + floor;
-    let weight = 1.0 / (variance * PER_INTERVAL as f64);
     let mut problem = Problem::new(&spline);
-    for k in 0..points {
-        let (p, local) = (phasors.at(at(k)), spline.at(at(k)));
-        let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
-        for (v, i, d) in [(p.v.re, p.i.re, d.re), (p.v.im, p.i.im, d.im)] {
-            problem.add_row(weight, local.first, &local.values, (i, d), v);
-        }
-    }
-    let bends: Vec<f64> = (1..spline.functions().saturating_sub(1))
-        .map(|j| {
-            let tau_s = (j as f64 - 1.0) / (spline.functions() as f64 - 3.0).max(1.0) * duration_s;
-            let share =
-                (i_energy_max / phasors.at(tau_s).i.norm_sqr().max(1e-9 * i_energy_max)).powf(0.75);
-            (settings.bend * share).min(MAX_BEND) * z2.sqrt()
-        })
-        .collect();
+    grid.add_rows(&mut problem, &spline, omega);
+    let bends = grid.bends(spline.functions(), settings.bend);
     for (k, bend) in bends.iter().enumerate() {
         problem.add_bend(k + 1, 1.0 / (bend * bend));
     }
     let solution = problem.solve()?;
     let ripple = solution.ripple(&bends);
-    let residuals: Vec<f64> = (0..points)
-        .map(|k| solution.residual(&spline, phasors, at(k), omega))
+    let residuals: Vec<f64> = (0..grid.points)
+        .map(|k| solution.residual(&spline, phasors, grid.tau_s(k), omega))
         .collect();
     let periods = (duration_s * segment.f_sw_hz).floor().max(1.0) as usize;
     for k in 0..periods {
         let tau_s = (k as f64 + 0.5) / segment.f_sw_hz;
         let (found, sigma) = solution.at(&spline, tau_s);
-        let nearest = ((tau_s / duration_s * points as f64) as usize).min(points - 1);
-        let near = &residuals
-            [nearest.saturating_sub(PER_INTERVAL)..(nearest + PER_INTERVAL + 1).min(points)];
-        let beyond = near.iter().sum::<f64>() / near.len() as f64 - variance;
         let z = nalgebra::Complex::new(found[0], found[1]);
         let misfit = phasors.excess.misfit(tau_s, z);
-        let chi2 = 1.0 + (0.5 * misfit + beyond.max(0.0)) / variance;
+        let beyond = grid.mean_near(&residuals, tau_s) - grid.variance;
+        let chi2 = 1.0 + (0.5 * misfit + beyond.max(0.0)) / grid.variance;
         let chi2 = chi2.max(ripple.chi2_at(tau_s / duration_s));
         let ripple = ripple.square_at(tau_s / duration_s);
         let square = phasors.at(tau_s).i.norm_sqr();
         // Half of an aliased harmonic is in phase with the current.
-        let aliased = 0.5 * phasors.aliased_v(tau_s).powi(2) / square.max(1e-9 * i_energy_max);
+        let least = 1e-9 * grid.i_square_max;
+        let aliased = 0.5 * phasors.aliased_v(tau_s).powi(2) / square.max(least);
         let sigma = sigma.map(|s| (s * s * chi2 + ripple + aliased).sqrt());
         let relative = [sigma[0] / found[0], sigma[1] / found[1]];
         residual.add(square, chi2, relative);
@@ -116,6 +87,83 @@ pub fn fit(
         );
     }
     Ok(())
+}
+
+/// Evenly spaced points of a stretch at which the load is fitted.
+struct Grid<'a> {
+    phasors: &'a SplineFit,
+    points: usize,
+    /// Largest square of the current's amplitude, in A².
+    i_square_max: f64,
+    /// Square of the stretch's impedance, in Ω².
+    z_square: f64,
+    /// Variance of one component of V − Z·I in V², shared by the points of an interval.
+    variance: f64,
+}
+
+impl<'a> Grid<'a> {
+    fn new(phasors: &'a SplineFit, points: usize, noise: WhiteNoise) -> Self {
+        let mut grid = Self {
+            phasors,
+            points,
+            i_square_max: 0.0,
+            z_square: 0.0,
+            variance: 0.0,
+        };
+        let (mut v_energy, mut i_energy) = (0.0, 0.0);
+        for k in 0..points {
+            let p = phasors.at(grid.tau_s(k));
+            v_energy += p.v.norm_sqr();
+            i_energy += p.i.norm_sqr();
+            grid.i_square_max = grid.i_square_max.max(p.i.norm_sqr());
+        }
+        grid.z_square = v_energy / i_energy;
+        let floor = NOISE_FLOOR * NOISE_FLOOR * v_energy / points as f64;
+        let white = noise.v_v * noise.v_v + grid.z_square * noise.i_a * noise.i_a;
+        grid.variance = 2.0 * white / phasors.samples_per_interval + floor;
+        grid
+    }
+
+    /// Time of point `k` in seconds since the beginning of the stretch.
+    fn tau_s(&self, k: usize) -> f64 {
+        (k as f64 + 0.5) / self.points as f64 * self.phasors.duration_s
+    }
+
+    /// Adds the equations V = Z·I of all points.
+    fn add_rows(&self, problem: &mut Problem, spline: &RationalSpline, omega: f64) {
+        let weight = 1.0 / (self.variance * PER_INTERVAL as f64);
+        for tau_s in (0..self.points).map(|k| self.tau_s(k)) {
+            let (p, local) = (self.phasors.at(tau_s), spline.at(tau_s));
+            let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;
+            for (v, i, d) in [(p.v.re, p.i.re, d.re), (p.v.im, p.i.im, d.im)] {
+                problem.add_row(weight, local.first, &local.values, (i, d), v);
+            }
+        }
+    }
+
+    /// Expected bends in ohm of a spline of so many functions; `share` is that of the impedance at the largest current.
+    fn bends(&self, functions: usize, share: f64) -> Vec<f64> {
+        let bend = |j: usize| {
+            let place = (j as f64 - 1.0) / (functions as f64 - 3.0).max(1.0);
+            let square = self
+                .phasors
+                .at(place * self.phasors.duration_s)
+                .i
+                .norm_sqr();
+            let times = (self.i_square_max / square.max(1e-9 * self.i_square_max)).powf(0.75);
+            (share * times).min(MAX_BEND) * self.z_square.sqrt()
+        };
+        (1..functions.saturating_sub(1)).map(bend).collect()
+    }
+
+    /// Mean of values of the points over an interval to either side of a time in seconds.
+    fn mean_near(&self, values: &[f64], tau_s: f64) -> f64 {
+        let nearest = tau_s / self.phasors.duration_s * self.points as f64;
+        let nearest = (nearest as usize).min(self.points - 1);
+        let until = (nearest + PER_INTERVAL + 1).min(self.points);
+        let near = &values[nearest.saturating_sub(PER_INTERVAL)..until];
+        near.iter().sum::<f64>() / near.len() as f64
+    }
 }
 
 /// Bends of R and ωL that no load has: more than [`MAX_RIPPLE`] times the expected ones over [`RIPPLE_REACH`].
