@@ -56,14 +56,14 @@ pub fn ran_well() {
     set_ends(0);
 }
 
-/// Reads the record that the last run left, and counts this start, which had these reset flags.
-pub fn read_crash_record(flags: ResetFlags) -> Option<CrashRecord> {
+/// Reads the record that the last run left, and counts this start.
+pub fn read_crash_record() -> Option<CrashRecord> {
     let mut words = [0; WORDS];
     for (word, slot) in words.iter_mut().zip(&CRASH_RECORD) {
         *word = slot.load(Ordering::Relaxed);
     }
     let last = CrashRecord::from_words(words);
-    write(CrashRecord::begun(last, flags));
+    write(CrashRecord::begun(last));
     last
 }
 

@@ -100,10 +100,11 @@ impl CrashRecord {
         })
     }
 
-    /// Returns the state with which control begins after `last`: the loss of power ends a lock-out, no other reset does. A fault of
-    /// the controller itself that ended a run locks out, even if control could not record it.
-    pub fn kept_control(last: Option<Self>, flags: ResetFlags) -> (RetainedControl, Fault) {
-        let Some(last) = last.filter(|_| !flags.brown_out) else {
+    /// Returns the state with which control begins after `last`: a loss of power that the RAM does not outlast ends a lock-out, no reset
+    /// does, that of a sagging supply included. A fault of the controller itself that ended a run locks out, even if control could not
+    /// record it.
+    pub fn kept_control(last: Option<Self>) -> (RetainedControl, Fault) {
+        let Some(last) = last else {
             return (RetainedControl::default(), Fault::NONE);
         };
         let fault = Fault::from_number(last.fault);
@@ -115,8 +116,8 @@ impl CrashRecord {
     }
 
     /// The record of the run that begins after `last`: whatever ends it before control has begun, a lock-out stays.
-    pub fn begun(last: Option<Self>, flags: ResetFlags) -> Self {
-        let (control, fault) = Self::kept_control(last, flags);
+    pub fn begun(last: Option<Self>) -> Self {
+        let (control, fault) = Self::kept_control(last);
         Self {
             reason: None,
             fault: if control.locked_out {
@@ -175,48 +176,29 @@ mod tests {
     };
 
     #[test]
-    fn a_lock_out_outlasts_every_reset_but_the_loss_of_power() {
-        let none = ResetFlags::default();
-        let flags = |watchdog, software, pin| ResetFlags {
-            watchdog,
-            software,
-            pin,
-            ..none
-        };
-        for flags in [
-            flags(true, false, true),
-            flags(false, true, true),
-            flags(false, false, true),
-        ] {
-            // However often: each run's record is what the next one finds.
-            let mut last = Some(PANICKED);
-            for _ in 0..3 {
-                let (kept, fault) = CrashRecord::kept_control(last, flags);
-                assert_eq!((kept, fault.number()), (PANICKED.control, 4));
-                last = CrashRecord::from_words(CrashRecord::begun(last, flags).to_words());
-            }
+    fn a_lock_out_outlasts_every_reset_but_the_loss_of_the_ram() {
+        // However often: each run's record is what the next one finds.
+        let mut last = Some(PANICKED);
+        for _ in 0..3 {
+            let (kept, fault) = CrashRecord::kept_control(last);
+            assert_eq!((kept, fault.number()), (PANICKED.control, 4));
+            last = CrashRecord::from_words(CrashRecord::begun(last).to_words());
         }
-        let power = ResetFlags {
-            brown_out: true,
-            ..none
-        };
-        for last in [Some(PANICKED), None] {
-            let (kept, fault) = CrashRecord::kept_control(last, power);
-            assert_eq!((kept, fault), (RetainedControl::default(), Fault::NONE));
-        }
+        let begun = (RetainedControl::default(), Fault::NONE);
+        assert_eq!(CrashRecord::kept_control(None), begun);
         // A word of flash with two wrong bits: no code ran after it.
         let damaged = CrashRecord {
             fault: Fault::FLASH_ECC.number(),
             ..CrashRecord::default()
         };
-        assert!(CrashRecord::kept_control(Some(damaged), none).0.locked_out);
+        assert!(CrashRecord::kept_control(Some(damaged)).0.locked_out);
         // A fault of the mains passes.
         let mains = CrashRecord {
             fault: Fault::MAINS_LOST.number(),
             ..CrashRecord::default()
         };
-        assert!(!CrashRecord::kept_control(Some(mains), none).0.locked_out);
-        assert_eq!(CrashRecord::begun(Some(mains), none).fault, 0);
+        assert!(!CrashRecord::kept_control(Some(mains)).0.locked_out);
+        assert_eq!(CrashRecord::begun(Some(mains)).fault, 0);
     }
 
     #[test]

@@ -72,7 +72,7 @@ struct Board {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let (flags, reset_flags, watchdog_is_sound) = registers::supply::reset_flags();
-    let last = crash::read_crash_record(flags);
+    let last = crash::read_crash_record();
     crash::count_start(flags);
     let p = registers::clocks::start();
     registers::supply::protect_code();
@@ -94,7 +94,7 @@ fn main() -> ! {
         let hello = hello(flags, last);
         let watchdog_fault = (!watchdog_is_sound).then_some(Fault::WATCHDOG_TEST);
         let sides = (interrupt_side, thread_side);
-        let before = (reset_flags, flags, last);
+        let before = (reset_flags, last);
         start(spawner, p, hello, before, sides, watchdog_fault);
     })
 }
@@ -120,7 +120,7 @@ fn start(
     spawner: Spawner,
     p: Peripherals,
     hello: Hello,
-    (reset_flags, flags, last): (u32, reset::ResetFlags, Option<reset::CrashRecord>),
+    (reset_flags, last): (u32, Option<reset::CrashRecord>),
     (interrupt_side, mut thread_side): (sampling::InterruptSide, ThreadSide),
     watchdog_fault: Option<Fault>,
 ) {
@@ -130,7 +130,7 @@ fn start(
         thread_side.with(|path| path.latch_fault(Fault::OPTION_BYTES));
     }
     let mut self_test = self_test(p.CRC, &mut thread_side, watchdog_fault);
-    let (kept, fault) = reset::CrashRecord::kept_control(last, flags);
+    let (kept, fault) = reset::CrashRecord::kept_control(last);
     housekeeping.restore_control(&mut thread_side, kept, fault);
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
     housekeeping.set_log(&LINK_LOG);

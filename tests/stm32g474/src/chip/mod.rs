@@ -70,7 +70,7 @@ pub enum Reset {
     Software,
     /// Timeout of the watchdog.
     Watchdog,
-    /// Power-on.
+    /// Power-on, or a supply that fell below the brown-out level for a moment.
     Power,
 }
 

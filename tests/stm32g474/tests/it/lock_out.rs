@@ -78,16 +78,20 @@ fn no_reset_ends_a_lock_out_but_the_loss_of_power() {
     bench.with(|machine| machine.chip().reset = Some(Reset::Software));
     bench.run_s(0.1);
     assert_locked_out(&bench);
-    bench.with(|machine| machine.chip().reset = Some(Reset::Watchdog));
-    bench.run_s(0.1);
-    assert_locked_out(&bench);
+    // The last one: a supply that sags, with its RAM intact.
+    for reset in [Reset::Watchdog, Reset::Power] {
+        bench.with(move |machine| machine.chip().reset = Some(reset));
+        bench.run_s(0.1);
+        assert_locked_out(&bench);
+    }
     assert_eq!(
         resets(&bench),
         [
             Reset::Software,
             Reset::Software,
             Reset::Software,
-            Reset::Watchdog
+            Reset::Watchdog,
+            Reset::Power
         ]
     );
     bench.with(|machine| machine.power_cycle().unwrap());
