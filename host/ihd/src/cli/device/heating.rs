@@ -191,7 +191,15 @@ fn begin(hob: &mut Hob, command: &Command) -> Result<Option<u16>> {
 }
 
 /// Switches off and releases the lease; an unanswered request to switch off is repeated.
+///
+/// # Errors
+/// Also if another client has the lease by now: the heating is its own then, and goes on.
 fn switch_off(hob: &mut Hob) -> Result<()> {
+    if let Err(error) = hob.take_lease(false)
+        && is_leased_elsewhere(&error)
+    {
+        return Err(error);
+    }
     let off = hob
         .command(&Command::Off)
         .or_else(|_| hob.command(&Command::Off))

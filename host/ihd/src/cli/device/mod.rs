@@ -120,48 +120,62 @@ impl DeviceArgs {
             )
             .into());
         };
+        // All that can be wrong here, before the lease is taken from anybody.
+        let command = self.action.single_command()?;
         let mut hob = Hob::find(config, name)?;
         let forces = self.action.forces();
         if forces {
             hob.take_lease(true)?;
         }
-        let once = |hob: &mut Hob, command| once(hob, &command, forces, global.json);
-        match &self.action {
-            Action::Status => text::print(&hob.report()?, global.json),
-            Action::Power {
-                powers_w,
-                for_s,
-                windows,
-                ..
-            } => {
-                ensure_usage!(
-                    for_s.is_none_or(|s| s.is_finite() && s > 0.0),
-                    "--for must be more than 0 s"
-                );
-                match powers_w.as_slice() {
-                    [power_w] if !windows => {
-                        heating::power(&mut hob, *power_w, *for_s, global.json)
-                    }
-                    several => {
-                        ensure_usage!(
-                            for_s.is_none(),
-                            "--for goes with one power: several end after their windows"
-                        );
-                        heating::sweep(&mut hob, several, global.json)
-                    }
-                }
-            }
-            Action::Off => once(&mut hob, Command::Off),
-            Action::ClearFault(_) => once(&mut hob, Command::ClearFault),
-            Action::Lookup { action } => match action {
-                LookupAction::Show => lookup::show(&mut hob, global.json),
-                LookupAction::Push { lookup, .. } => once(&mut hob, lookup.command()?),
+        match (&self.action, command) {
+            (_, Some(command)) => once(&mut hob, &command, forces, global.json),
+            (
+                Action::Power {
+                    powers_w,
+                    for_s,
+                    windows,
+                    ..
+                },
+                None,
+            ) => match powers_w.as_slice() {
+                [power_w] if !windows => heating::power(&mut hob, *power_w, *for_s, global.json),
+                several => heating::sweep(&mut hob, several, global.json),
             },
+            (Action::Lookup { .. }, None) => lookup::show(&mut hob, global.json),
+            (_, None) => text::print(&hob.report()?, global.json),
         }
     }
 }
 
 impl Action {
+    /// Returns the command of an action that is one command; `None` for the others.
+    ///
+    /// # Errors
+    /// If the action cannot be meant: a time that is none, a file that is no lookup.
+    fn single_command(&self) -> Result<Option<Command>> {
+        Ok(match self {
+            Self::Power {
+                powers_w, for_s, ..
+            } => {
+                ensure_usage!(
+                    for_s.is_none_or(|s| s.is_finite() && s > 0.0),
+                    "--for must be more than 0 s"
+                );
+                ensure_usage!(
+                    for_s.is_none() || powers_w.len() == 1,
+                    "--for goes with one power: several end after their windows"
+                );
+                None
+            }
+            Self::Off => Some(Command::Off),
+            Self::ClearFault(_) => Some(Command::ClearFault),
+            Self::Lookup {
+                action: LookupAction::Push { lookup, .. },
+            } => Some(lookup.command()?),
+            Self::Status | Self::Lookup { .. } => None,
+        })
+    }
+
     /// Returns `true` if the lease is to be taken from another client.
     fn forces(&self) -> bool {
         match self {
@@ -175,12 +189,13 @@ impl Action {
     }
 }
 
-/// Carries out a command and prints the reply.
+/// Carries out a command and prints the reply. A lease that was taken by force is given back, whatever the command came to.
 fn once(hob: &mut Hob, command: &Command, forces: bool, json: bool) -> Result<()> {
-    let done = hob.command(command)?;
+    let done = hob.command(command);
     if forces {
         hob.release_lease()?;
     }
+    let done = done?;
     if json {
         return output::json(&done);
     }

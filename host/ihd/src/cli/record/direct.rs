@@ -236,10 +236,11 @@ impl DirectRecording {
 
     /// Stops the stream, switches the device off if it was switched on here, and processes remaining data.
     fn leave(&self, client: &mut Client) -> Result<(Status, Option<Utilisation>)> {
-        let used = client.utilisation()?;
+        // First of all: whatever fails afterwards, it does not heat.
         if self.power.is_some() {
             client.set_power(0)?;
         }
+        let used = client.utilisation()?;
         client.stream(0, 0)?;
         while client.next_event(POLL_PERIOD)?.is_some() {}
         Ok((client.status()?, Some(used)))

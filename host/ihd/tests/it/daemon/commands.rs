@@ -132,6 +132,27 @@ fn one_commands_and_force_takes_over_and_the_other_is_told() {
     assert_eq!(second.code(), 4);
 }
 
+/// Between two renewals of its lease a client does not know yet that another one has it.
+#[test]
+fn who_lost_the_lease_does_not_switch_off_what_another_heats() {
+    let kitchen = Kitchen::start();
+    let mut first = kitchen.in_the_background(&["bench", "power", "900"]);
+    kitchen.until("it heats", |r| asked_w(r) == 900);
+    let _second = kitchen.in_the_background(&["bench", "power", "700", "--force"]);
+    kitchen.until("the other heats", |r| asked_w(r) == 700);
+    first.signal("INT");
+    assert_eq!(first.code(), 1);
+    assert_eq!(asked_w(&kitchen.report()), 700);
+    // Nor does who only thinks of heating.
+    for wrong in [
+        &["bench", "power", "1000", "--for", "0", "--force"][..],
+        &["bench", "lookup", "push", "/nonexistent", "--force"],
+    ] {
+        assert_ne!(kitchen.device(wrong).0, 0);
+        assert_eq!(asked_w(&kitchen.report()), 700, "{wrong:?}");
+    }
+}
+
 #[test]
 fn what_happens_is_watched() {
     let kitchen = Kitchen::start();
