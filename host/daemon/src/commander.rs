@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use ihd_model::{Command, CommandError, CommandReply, EventKind, Lease, RecordKind, Trigger};
+use ihd_model::{Command, CommandError, CommandReply, EventKind, Lease, Trigger};
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -248,13 +248,7 @@ impl Commander {
         };
         let Some(client) = client else { return };
         tracing::info!(device = record.name, why, "off");
-        let (name, address) = (record.name.clone(), record.address.clone());
-        // Without room in the store the event is in the log only.
-        let store = self.store.writing_once(RecordKind::Events);
-        store.offer(move |store| {
-            let device = store.device(&name, &address)?;
-            store.event(Some(device), "off", &why)
-        });
+        record.store_event(self.store.access(), "off", &why);
         let off = tokio::time::timeout(COMMAND_TIMEOUT, switch_off(record, &client));
         if !matches!(off.await, Ok(Ok(()))) {
             tracing::warn!(device = record.name, "was not switched off in time");

@@ -49,7 +49,7 @@ pub struct Daemon {
 
 /// Parts of the daemon, each with what it reads.
 struct Inner {
-    commander: Commander,
+    commander: Arc<Commander>,
     event_bus: EventBus,
     view: View,
     fleet: FleetAccess,
@@ -112,7 +112,11 @@ impl Daemon {
         ));
         let learner = LearnerSlot::new(learner);
         let inner = Inner {
-            commander: Commander::new(Arc::clone(&devices), Arc::clone(&auditor), store.clone()),
+            commander: Arc::new(Commander::new(
+                Arc::clone(&devices),
+                Arc::clone(&auditor),
+                store.clone(),
+            )),
             event_bus,
             view: View {
                 machine: machine.clone(),
@@ -171,7 +175,11 @@ impl Daemon {
         holder: &str,
         command: Command,
     ) -> Result<CommandReply, CommandError> {
-        self.inner.commander.command(device, holder, command).await
+        let (device, holder) = (device.to_owned(), holder.to_owned());
+        self.to_its_end(
+            |commander| async move { commander.command(&device, &holder, command).await },
+        )
+        .await
     }
 
     /// Takes the lease or renews it. With `force` it is also taken from another holder; that is published, and the
@@ -185,7 +193,11 @@ impl Daemon {
         holder: &str,
         force: bool,
     ) -> Result<Lease, CommandError> {
-        self.inner.commander.take_lease(device, holder, force).await
+        let (device, holder) = (device.to_owned(), holder.to_owned());
+        self.to_its_end(
+            |commander| async move { commander.take_lease(&device, &holder, force).await },
+        )
+        .await
     }
 
     /// Releases the lease and switches off its power.
@@ -193,7 +205,24 @@ impl Daemon {
     /// # Errors
     /// [`CommandError::Leased`] if another holder has it.
     pub async fn release_lease(&self, device: &str, holder: &str) -> Result<(), CommandError> {
-        self.inner.commander.release_lease(device, holder).await
+        let (device, holder) = (device.to_owned(), holder.to_owned());
+        self.to_its_end(|commander| async move { commander.release_lease(&device, &holder).await })
+            .await
+    }
+
+    /// Carries something out in a task of its own: a client that leaves meanwhile takes neither its end nor its audit away.
+    async fn to_its_end<T: Send + 'static, F>(
+        &self,
+        carry_out: impl FnOnce(Arc<Commander>) -> F,
+    ) -> Result<T, CommandError>
+    where
+        F: Future<Output = Result<T, CommandError>> + Send + 'static,
+    {
+        let task = tokio::spawn(carry_out(Arc::clone(&self.inner.commander)));
+        task.await.unwrap_or_else(|end| {
+            let why = format!("a fault of this program, in the log: {end}");
+            Err(CommandError::Failed { why })
+        })
     }
 
     /// Subscribes to all events from now on.

@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use ihd_capture::recording::RecordingSession;
 use ihd_link::AsyncClient;
-use ihd_model::{DeviceReport, DeviceState, EventKind, Identity, Live, LookupReport, PotCurve};
+use ihd_model::{
+    DeviceReport, DeviceState, EventKind, Identity, Live, LookupReport, PotCurve, RecordKind,
+};
 use ihd_shared::wire::messages::{Hello, Telemetry};
 use tokio::time::Instant;
 
@@ -19,6 +21,7 @@ use crate::locking::lock;
 use crate::pot_tracker::PotTracker;
 use crate::printable::printable;
 use crate::states::live;
+use crate::store_thread::StoreAccess;
 use crate::view::recent_fits::RecentFits;
 use crate::window_accounting::WindowAccounting;
 
@@ -115,6 +118,16 @@ impl DeviceRecord {
                 client: None,
             }),
         }
+    }
+
+    /// Stores an event of the device. Without room in the store it is dropped and counted.
+    pub fn store_event(&self, store: StoreAccess, kind: &'static str, text: &str) {
+        let (name, address) = (self.name.clone(), self.address.clone());
+        let text = printable(text);
+        store.writing_once(RecordKind::Events).offer(move |store| {
+            let device = store.device(&name, &address)?;
+            store.event(Some(device), kind, &text)
+        });
     }
 
     /// Locks the mutable state; held only for a moment, never over a wait.

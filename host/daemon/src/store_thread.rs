@@ -142,7 +142,7 @@ impl StoreThread {
         })
     }
 
-    fn access(&self) -> StoreAccess {
+    pub fn access(&self) -> StoreAccess {
         StoreAccess {
             shared: Arc::clone(&self.shared),
             lane: Lane::Daemon,

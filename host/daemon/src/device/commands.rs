@@ -75,7 +75,7 @@ impl DeviceSession<'_> {
                 let reset = self.lookups.reset(&mut self.link).await;
                 let done = "back to the built-in lookup; what was learned is forgotten";
                 let done = CommandReply::with_text(done);
-                reset.map(|()| done).map_err(|e| describe(&e))
+                reset.map(|()| done)
             }
             // The others reply later: once the device uses the lookup, or the file is there.
             Command::LookupPush { blob } => {

@@ -319,21 +319,22 @@ impl<'a> DeviceLookups<'a> {
         }
     }
 
-    /// Resets the device to the built-in lookup and forgets what was learned.
+    /// Resets the device to the built-in lookup and forgets what was learned: in the store first, else the next reconciliation would
+    /// push it again.
     ///
     /// # Errors
-    /// Error of the link.
-    pub async fn reset(&mut self, link: &mut DeviceLink) -> Result<(), LinkError> {
-        link.request(Client::reset_lookup).await?;
+    /// Text of the store's failure, or of the link's.
+    pub async fn reset(&mut self, link: &mut DeviceLink) -> Result<(), String> {
+        let forgotten = self.rows.reset().await;
+        forgotten.ok_or("the store cannot forget what was learned: nothing is reset")?;
+        let reset = link.request(Client::reset_lookup).await;
+        reset.map_err(|error| error.to_string())?;
         self.abandon_push();
         self.push.forget_queued();
         self.context.learner.forget(&self.record.name);
         self.context
             .learner
             .set_device_version(&self.record.name, 0);
-        if self.rows.device_id.is_some() {
-            self.must_reconcile = self.rows.reset().await.is_none();
-        }
         self.update_report().await;
         Ok(())
     }

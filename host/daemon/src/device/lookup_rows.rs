@@ -1,6 +1,7 @@
 //! Rows of one device's lookups in the store.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -64,7 +65,7 @@ impl LookupRows<'_> {
         })
     }
 
-    /// Stores a lookup as pending. Returns `None` if it is not stored.
+    /// Stores a lookup as pending. Returns `None` if it is not stored, nor will be when the store gets to it.
     pub async fn pend(
         &self,
         lookup: &RlLookup,
@@ -72,10 +73,18 @@ impl LookupRows<'_> {
         certainty: Option<Certainty>,
     ) -> Option<()> {
         let (device, pending) = (self.device_id?, lookup.clone());
-        let stored = self
-            .wait
-            .run(move |store| store.pend_lookup(device, &pending, &why, certainty.as_ref()));
-        stored.await
+        // Set by whichever comes first: the store that has it, or the end of the wait.
+        let is_decided = Arc::new(AtomicBool::new(false));
+        let by_store = Arc::clone(&is_decided);
+        let stored = self.wait.run(move |store| {
+            store.pend_lookup(device, &pending, &why, certainty.as_ref())?;
+            match by_store.swap(true, Ordering::Relaxed) {
+                false => Ok(()),
+                true => store.refuse_lookup(device, pending.version, "the store was too slow"),
+            }
+        });
+        let stored = stored.await.is_some();
+        (stored || is_decided.swap(true, Ordering::Relaxed)).then_some(())
     }
 
     /// Marks a pending lookup as refused. If the store fails, it stays pending until the next connection reconciles it.

@@ -169,11 +169,15 @@ impl<'a> DeviceSession<'a> {
         let Some(suspended) = self.link.contact.end_wait(&self.context.machine) else {
             return Ok(());
         };
-        self.record.lock().lease.revoke();
-        Err(SessionEnd::Suspended(format!(
-            "nothing ran here for {:.0} s",
-            suspended.as_secs_f64()
-        )))
+        let why = format!("nothing ran here for {:.0} s", suspended.as_secs_f64());
+        if self.record.lock().lease.revoke().is_some() {
+            self.record.publish(EventKind::Lease {
+                holder: String::new(),
+                taken_from: String::new(),
+                why: why.clone(),
+            });
+        }
+        Err(SessionEnd::Suspended(why))
     }
 
     pub(super) fn link_end(&self) -> SessionEnd {
@@ -346,11 +350,16 @@ impl<'a> DeviceSession<'a> {
     /// ends the session in the store.
     pub async fn close(&mut self, end: &SessionEnd) {
         self.store_wait.begin_end();
-        if self.record.lock().lease.asked_w() > 0 {
-            // Without a link this fails at once, and the device ends its power itself.
-            if let Err(error) = self.off().await {
-                tracing::warn!(device = self.record.name, %error, "could not be switched off; it ends by itself within 10 s");
-            }
+        let why = match end {
+            SessionEnd::Stopping => "the daemon stopped".to_owned(),
+            SessionEnd::Link(why) | SessionEnd::Suspended(why) => printable(why),
+        };
+        // Without a link this fails at once, and the device ends its power itself.
+        if self.end_heating(&why).await.is_err() {
+            tracing::warn!(
+                device = self.record.name,
+                "could not be switched off; it ends by itself within 10 s"
+            );
         }
         // Without a link nobody knows what it does.
         self.record.lock().last = None;
@@ -359,10 +368,6 @@ impl<'a> DeviceSession<'a> {
             let _ = self.link.request(|client| client.stream(0, 0)).await;
         }
         self.lookups.abandon_push();
-        let why = match end {
-            SessionEnd::Stopping => "the daemon stopped".to_owned(),
-            SessionEnd::Link(why) | SessionEnd::Suspended(why) => printable(why),
-        };
         if let Some(StoredIds { session, .. }) = self.stored {
             let ending = self
                 .store_wait

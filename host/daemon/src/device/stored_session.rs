@@ -1,9 +1,6 @@
 //! Session of a device in the store.
 
-use ihd_model::RecordKind;
-
 use super::session::{DeviceSession, SessionEnd, StoredIds};
-use crate::printable::printable;
 use crate::store_thread::StoreAccess;
 
 impl DeviceSession<'_> {
@@ -43,11 +40,9 @@ impl DeviceSession<'_> {
         }
     }
 
-    /// Stores an event of the device. Without room in the store it is dropped and counted.
+    /// Stores an event of the device, also while the store has no session of it.
     pub(super) fn store_event(&self, kind: &'static str, text: &str) {
-        let (device, text) = (self.stored.map(|ids| ids.device), printable(text));
-        let store = self.store().writing_once(RecordKind::Events);
-        store.offer(move |store| store.event(device, kind, &text));
+        self.record.store_event(self.store(), kind, text);
     }
 
     /// Returns access to the store in this device's lane.

@@ -110,3 +110,61 @@ async fn off_ends_a_sweep_for_good() {
     until(&daemon, |r| r.sweep_left_w.is_empty()).await;
     daemon.stop().await;
 }
+
+#[tokio::test]
+async fn a_command_whose_client_leaves_is_carried_out_and_audited() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    {
+        let mut asked = std::pin::pin!(power(&daemon, "a", 700));
+        tokio::select! {
+            biased;
+            _ = &mut asked => panic!("nobody had the time to answer"),
+            () = std::future::ready(()) => {}
+        }
+    }
+    while rig.audited().is_empty() {
+        nap().await;
+    }
+    assert_eq!(rig.audited(), ["power 700 W"]);
+    assert_eq!(rig.bench().asked_w(), 700);
+    daemon.stop().await;
+}
+
+/// Until its disk answers again, and after.
+#[tokio::test]
+async fn what_was_refused_because_the_store_is_stuck_does_not_happen_later() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let push = |version| {
+        let lookup = RlLookup { version, ..prior() };
+        let blob = lookup.to_bytes().to_vec();
+        Command::LookupPush { blob }
+    };
+    daemon.command("bench", "a", push(1)).await.unwrap();
+    let lock = rig.lock_database();
+    let clock = Clock::stop();
+    for command in [push(2), Command::LookupReset] {
+        let asking = daemon.clone();
+        let asked = tokio::spawn(async move { asking.command("bench", "a", command).await });
+        while !asked.is_finished() {
+            clock.pass(Duration::from_millis(100)).await;
+        }
+        let refused = asked.await.unwrap().unwrap_err().to_string();
+        assert!(refused.contains("the store cannot"), "{refused}");
+    }
+    drop(lock);
+    // The audit comes after what waited for the store.
+    while rig.audited().len() < 3 {
+        clock.pass(Duration::from_millis(100)).await;
+    }
+    clock.go_on();
+    let report = until(&daemon, |report| report.lookup.pending.is_none()).await;
+    assert_eq!(
+        (report.lookup.on_device, report.lookup.active),
+        (Some(1), Some(1))
+    );
+    daemon.stop().await;
+}
