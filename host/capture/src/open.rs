@@ -97,22 +97,32 @@ pub(super) fn adjusted(
         ChannelSamples::new(values, &channels[c.index], c.factor).map_err(choice)
     };
     let (v, i) = (side(chosen[0])?, side(chosen[1])?);
-    let time = options.stated_time(capture.time.at(0).unwrap_or(0.0));
-    Ok(Capture {
-        time: time.unwrap_or(capture.time),
+    let mut adjusted = Capture {
         v_v: v.values,
         i_a: i.values,
         v_full_scale_v: v.full_scale,
         i_full_scale_a: i.full_scale,
         ..capture
-    })
+    };
+    if let Some(time) = options.stated_time(adjusted.time.at(0).unwrap_or(0.0)) {
+        // Facts of the file refer to its own clock.
+        adjusted = Capture {
+            time,
+            f_sw: Vec::new(),
+            mains_hz: None,
+            zero_crossing_s: None,
+            truth: Vec::new(),
+            ..adjusted
+        };
+    }
+    Ok(adjusted)
 }
 
 #[cfg(test)]
 mod tests {
     use std::path::PathBuf;
 
-    use ihd_signal::TimeBase;
+    use ihd_signal::{FrequencyStep, TimeBase};
 
     use super::*;
     use crate::channels::ChannelRef;
@@ -122,6 +132,39 @@ mod tests {
         let path = dir.path().join(name);
         std::fs::write(&path, content).unwrap();
         (dir, path)
+    }
+
+    #[test]
+    fn what_a_file_says_of_its_own_clock_does_not_outlast_another_rate() {
+        let capture = Capture {
+            time: TimeBase::Even {
+                t0_s: 0.0,
+                dt_s: 1e-6,
+            },
+            v_v: vec![1.0; 3],
+            i_a: vec![2.0; 3],
+            f_sw: vec![FrequencyStep {
+                t_s: 0.0,
+                f_sw_hz: 45e3,
+            }],
+            mains_hz: Some(50.0),
+            zero_crossing_s: Some(0.0),
+            ..Capture::default()
+        };
+        let of_rate = |rate_hz| {
+            let options = OpenOptions {
+                rate_hz,
+                ..OpenOptions::default()
+            };
+            adjusted(Path::new("a.mcap"), capture.clone(), &options).unwrap()
+        };
+        assert_eq!(of_rate(None), capture);
+        let halved = of_rate(Some(5e5));
+        let facts = (halved.f_sw.len(), halved.truth.len());
+        assert_eq!(
+            (facts, halved.mains_hz, halved.zero_crossing_s),
+            ((0, 0), None, None)
+        );
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Choice of plateaus, guards and sensor model, by the capture itself.
 
 use super::basis::Bases;
-use super::edges::Stretch;
+use super::edges::{Edges, Stretch};
 use super::error::BlindError;
 use super::fit::{Fit, FittedValue, Model, Scope, moments};
 use super::plateau::{Guards, Plateau, of_stretch};
@@ -44,13 +44,23 @@ pub(super) fn choose(
     stretches: &[Stretch<'_>],
     settling_s: Option<f64>,
 ) -> Result<ModelChoice, BlindError> {
+    choose_between(&edges(stretches), settling_s)
+}
+
+/// Finds the edges of the stretches; those without are left out.
+pub(super) fn edges<'s, 'c>(stretches: &'s [Stretch<'c>]) -> Vec<(&'s Stretch<'c>, Edges)> {
+    let with_edges = stretches.iter().map(|s| Some((s, s.edges()?)));
+    with_edges.flatten().collect()
+}
+
+/// Chooses a model, as [`choose`], between edges that are known.
+pub(super) fn choose_between(
+    edges: &[(&Stretch<'_>, Edges)],
+    settling_s: Option<f64>,
+) -> Result<ModelChoice, BlindError> {
     let mut best: Option<ModelChoice> = None;
     let mut bases = Bases::default();
     let mut most = 0;
-    let edges: Vec<_> = stretches
-        .iter()
-        .filter_map(|s| Some((s, s.edges()?)))
-        .collect();
     for after_s in AFTER_S {
         // Edges are located to a third of a sample.
         let of = |s: &Stretch<'_>| Guards {

@@ -2,9 +2,9 @@
 //! capture is corrected and the rest estimated again, until nothing is left.
 
 use super::super::delay::delay;
-use super::choose::{ModelChoice, choose};
+use super::choose::{ModelChoice, choose, choose_between, edges};
 use super::correction::Correction;
-use super::edges::Stretch;
+use super::edges::{Edges, Stretch};
 use super::error::BlindError;
 use super::samples::StretchSamples;
 
@@ -35,13 +35,19 @@ pub(super) fn settle(
     stretches: &[Stretch<'_>],
     settling_s: Option<f64>,
 ) -> Result<SettledChoice, BlindError> {
-    let plain = choose(stretches, settling_s)?;
+    let edges = edges(stretches);
+    let plain = choose_between(&edges, settling_s)?;
     let skew = plain.skew_s;
     let nothing = |chosen| SettledChoice {
         chosen,
         v_tau_s: 0.0,
         skew_s: 0.0,
     };
+    if settling_s.is_none()
+        && let Some(shared) = shared_filter(&edges, &plain)
+    {
+        return Ok(nothing(shared));
+    }
     // A skew that explains everything is preferred.
     if plain.is_flat() || skew.value.abs() < MIN_S.max(10.0 * skew.sigma) {
         return Ok(nothing(plain));
@@ -86,6 +92,52 @@ pub(super) fn settle(
         },
         _ => nothing(plain),
     })
+}
+
+/// Least skew in seconds that may be the tail of a filter that both channels share, and its least ratio to its standard deviation.
+const MIN_TAIL_S: f64 = 4e-9;
+const MIN_TAIL_SIGMAS: f64 = 8.0;
+
+/// Time constants in seconds of such a filter, tried first: 100 kHz to 800 kHz.
+const SHARED_S: [f64; 7] = [0.2e-6, 0.28e-6, 0.4e-6, 0.57e-6, 0.8e-6, 1.1e-6, 1.6e-6];
+
+/// Largest skew that remains with the filter, as a share of the skew without; with a true skew all of it does.
+const MAX_REMAINING_SHARE: f64 = 0.3;
+
+/// Share of the skew that the filter explains which stays unsure: it need not have one pole.
+const UNSURE_SHARE: f64 = 0.05;
+
+/// Returns the model with a filter that both channels share, if that explains a skew: its tails after the edges look like one, and it
+/// changes neither R nor L.
+fn shared_filter(edges: &[(&Stretch<'_>, Edges)], plain: &ModelChoice) -> Option<ModelChoice> {
+    let skew = plain.skew_s;
+    if skew.value.abs() < MIN_TAIL_S.max(MIN_TAIL_SIGMAS * skew.sigma) {
+        return None;
+    }
+    let with = |tau_s: f64| choose_between(edges, Some(tau_s)).ok();
+    // How much of a plateau the model explains, then how well.
+    let better = |a: &ModelChoice, b: &ModelChoice| {
+        let flat = a.is_flat().cmp(&b.is_flat());
+        flat.then(a.samples.total_cmp(&b.samples))
+            .then(share(b).total_cmp(&share(a)))
+    };
+    let tried = SHARED_S
+        .into_iter()
+        .filter_map(|tau_s| Some((tau_s, with(tau_s)?)));
+    let (mut tau_s, mut best) = tried.max_by(|a, b| better(&a.1, &b.1))?;
+    for step in [1.2, 1.1, 1.05, 1.02] {
+        for next_s in [tau_s * step, tau_s / step] {
+            let next = with(next_s).filter(|next| better(next, &best).is_gt());
+            if let Some(next) = next {
+                (tau_s, best) = (next_s, next);
+            }
+        }
+    }
+    let explains = best.is_flat() && (!plain.is_flat() || best.samples >= plain.samples);
+    let remains = best.skew_s.value.abs() > MAX_REMAINING_SHARE * skew.value.abs();
+    let unsure_s = UNSURE_SHARE * (skew.value - best.skew_s.value);
+    best.skew_s.sigma = best.skew_s.sigma.hypot(unsure_s);
+    (explains && !remains).then_some(best)
 }
 
 fn share(chosen: &ModelChoice) -> f64 {

@@ -117,6 +117,37 @@ fn the_deviation_told_is_that_of_many_seeds() {
     assert!((0.55..1.8).contains(&(shown / told)), "{shown:e} {told:e}");
 }
 
+/// What both channels share changes neither R nor L, and its tails after the edges are no lag.
+#[test]
+fn a_filter_that_both_channels_share_is_no_lag() {
+    for (pole_hz, f_sw_hz, rate_hz) in [
+        (150e3, 45e3, 12.5e6),
+        (200e3, 70e3, 20e6),
+        (300e3, 70e3, 20e6),
+        (500e3, 45e3, 12.5e6),
+        (150e3, 45e3, 50e6),
+        (200e3, 50e3, 12.5e6),
+    ] {
+        let mut all = settings(scope(), 3);
+        all.sensing.snr_db = Some(50.0);
+        (all.f_sw_hz, all.sensing.rate) = (f_sw_hz, Rate::Hz(rate_hz));
+        let mut capture = capture(&all);
+        let tau_s = 1.0 / (TAU * pole_hz);
+        low_pass(&mut capture.v_v, 1.0 / rate_hz, tau_s);
+        low_pass(&mut capture.i_a, 1.0 / rate_hz, tau_s);
+        let found = found(&capture);
+        println!(
+            "{pole_hz} {f_sw_hz} {rate_hz}: {:?} {:?}",
+            found.lag_s, found.cost_pct
+        );
+        let (r_pct, _) = found.cost_pct.unwrap();
+        assert!(
+            !found.is_significant() || r_pct < 0.2,
+            "{pole_hz} {f_sw_hz} {rate_hz}: {found:?}"
+        );
+    }
+}
+
 #[test]
 fn a_slow_current_probe_is_known_as_such_and_taken_out() {
     let clean = capture(&settings(scope(), 2));
