@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use ihd_signal::TimeBase;
 
-/// Largest difference between the grids, in sampling intervals. At 50 MS/s it is 1 ns, which costs
-/// less than 0.1 % of R (20 ns cost 1 to 1.8 %).
+/// Largest difference between the grids, in sampling intervals, and in seconds: 1 ns costs less than 0.1 % of R (20 ns cost 1 to 1.8 %).
 const SKEW: f64 = 0.05;
+const SKEW_S: f64 = 1e-9;
 
 /// Index ranges of the samples in both files that lie at the same times.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,7 +40,9 @@ pub fn overlap(
             }
             let shift = (b0 - a0) / dt_s;
             let whole = libm::round(shift);
-            if (shift - whole).abs() > SKEW {
+            // Times near a second have no more digits.
+            let rounding_s = 4.0 * f64::EPSILON * a0.abs().max(b0.abs());
+            if (shift - whole).abs() > SKEW.min((SKEW_S + rounding_s) / dt_s) {
                 return Err(format!(
                     "the samples of the one lie {:.3} of an interval beside the other's, which would be a skew: export both channels of \
                      one acquisition, or one file of both",
@@ -102,6 +104,20 @@ mod tests {
         let both = overlap((&b, 10), (&a, 5)).unwrap();
         assert_eq!((both.first, both.second), (0..2, 3..5));
         assert!(overlap((&a, 4), (&b, 10)).unwrap_err().contains("overlap"));
+    }
+
+    /// A twentieth of an interval is 1 ns at 50 MS/s, and 50 ns at 1 MS/s.
+    #[test]
+    fn a_skew_is_refused_by_its_time() {
+        for (dt_s, skew_s, is_taken) in [
+            (2e-8, 0.9e-9, true),
+            (2e-8, 1.1e-9, false),
+            (1e-6, 0.9e-9, true),
+            (1e-6, 2e-9, false),
+        ] {
+            let both = overlap((&even(0.0, dt_s), 100), (&even(skew_s, dt_s), 100));
+            assert_eq!(both.is_ok(), is_taken, "{dt_s} {skew_s}");
+        }
     }
 
     #[test]

@@ -5,16 +5,43 @@ use ihd_signal::TimeBase;
 /// Largest deviation from an even grid, as a fraction of the sampling interval.
 const MAX_JITTER: f64 = 1e-3;
 
-/// Error for stamps that do not ascend.
+/// Error for stamps that give no time base.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("time does not ascend: sample {sample} is at {t_s:e} s, the one before at {before_s:e} s")]
-pub struct NotAscending {
-    /// Index of the sample whose time is not later than the one before.
-    pub sample: usize,
-    /// Time of the preceding sample, in seconds.
-    pub before_s: f64,
-    /// Time of the sample, in seconds.
-    pub t_s: f64,
+pub enum StampsError {
+    /// They do not ascend.
+    #[error(
+        "time does not ascend: sample {sample} is at {t_s:e} s, the one before at {before_s:e} s"
+    )]
+    NotAscending {
+        /// Index of the sample whose time is not later than the one before.
+        sample: usize,
+        /// Time of the preceding sample, in seconds.
+        before_s: f64,
+        /// Time of the sample, in seconds.
+        t_s: f64,
+    },
+    /// They are rounded so much that the rate is unknown.
+    #[error(
+        "times rounded to {resolution_s:e} s leave the sampling rate uncertain by {:.1} %, and L with it: give the rate, as in --input \
+         rate=50M, or write more digits",
+        100.0 * share
+    )]
+    Coarse {
+        /// Place of the last digit, in seconds.
+        resolution_s: f64,
+        /// Uncertainty of the rate.
+        share: f64,
+    },
+}
+
+impl StampsError {
+    /// Index of the sample at which it shows.
+    pub fn sample(&self) -> usize {
+        match self {
+            Self::NotAscending { sample, .. } => *sample,
+            Self::Coarse { .. } => 0,
+        }
+    }
 }
 
 /// Resolution of stamps that were written in decimals, in their unit: the place of the last digit of the largest, which has the most.
@@ -41,6 +68,9 @@ fn largest(stamps: &[f64]) -> f64 {
     ends.fold(0.0, |most, t| most.max(t.abs()))
 }
 
+/// Largest uncertainty of the rate: L is proportional to the interval, and right within .7 %.
+const MAX_RATE_SHARE: f64 = 5e-3;
+
 /// Finds the time base of finite stamps in seconds, at least two of them.
 ///
 /// Stamps may be rounded to multiples of `resolution_s` (0: exact), so that two of them can be
@@ -49,12 +79,12 @@ fn largest(stamps: &[f64]) -> f64 {
 /// the file states, is taken where it is as good as the one from the first to the last stamp.
 ///
 /// # Errors
-/// [`NotAscending`] for stamps that are neither even nor ascending.
+/// [`StampsError`] for stamps that are neither even nor ascending, or whose interval is unknown.
 pub fn time_base(
     stamps: Vec<f64>,
     resolution_s: f64,
     declared_s: Option<f64>,
-) -> Result<TimeBase, NotAscending> {
+) -> Result<TimeBase, StampsError> {
     let (Some(&first), Some(&last)) = (stamps.first(), stamps.last()) else {
         return Ok(TimeBase::Stamps(stamps));
     };
@@ -72,12 +102,28 @@ pub fn time_base(
         let steady = |pair: &[f64]| (pair[1] - pair[0] - dt_s).abs() <= of_step;
         let is_even = || stamps.iter().enumerate().all(even) && stamps.windows(2).all(steady);
         if dt_s > 0.0 && !descends && is_even() {
+            let share = resolution_s / (last - first);
+            // Digits that are all there are rounded by nothing, however few.
+            let off = |(k, t): (usize, &f64)| (t - first - k as f64 * dt_s).abs();
+            let is_rounded = || {
+                stamps
+                    .iter()
+                    .enumerate()
+                    .map(off)
+                    .any(|off| off > 0.1 * resolution_s)
+            };
+            if share > MAX_RATE_SHARE && declared_s != Some(dt_s) && is_rounded() {
+                return Err(StampsError::Coarse {
+                    resolution_s,
+                    share,
+                });
+            }
             return Ok(TimeBase::Even { t0_s: first, dt_s });
         }
     }
     let not_later = stamps.windows(2).position(|pair| pair[1] <= pair[0]);
     match not_later {
-        Some(k) => Err(NotAscending {
+        Some(k) => Err(StampsError::NotAscending {
             sample: k + 1,
             before_s: stamps[k],
             t_s: stamps[k + 1],
@@ -178,10 +224,38 @@ mod tests {
         );
     }
 
+    /// 20 MS/s from 14.049 ms on, as a spreadsheet with three digits saves it.
+    #[test]
+    fn stamps_so_coarse_that_the_rate_is_unknown_are_refused() {
+        let stamps = |count: u32, resolution_s: f64| -> Vec<f64> {
+            let exact = (0..count).map(|k| 14.049e-3 + f64::from(k) * 5e-8);
+            exact
+                .map(|t| (t / resolution_s).round() * resolution_s)
+                .collect()
+        };
+        // 1.9 ms and 6 ms.
+        let short = time_base(stamps(38_000, 1e-5), 1e-5, None);
+        assert!(
+            matches!(short, Err(StampsError::Coarse { .. })),
+            "{short:?}"
+        );
+        let long = time_base(stamps(120_000, 1e-5), 1e-5, None);
+        let Ok(TimeBase::Even { dt_s, .. }) = long else {
+            panic!("even");
+        };
+        assert!((dt_s / 5e-8 - 1.0).abs() < MAX_RATE_SHARE);
+        // What the file states of its interval is no rounded number.
+        assert!(time_base(stamps(38_000, 1e-5), 1e-5, Some(5e-8)).is_ok());
+    }
+
     #[test]
     fn stamps_that_go_back_are_refused_by_number() {
-        let back = time_base(vec![0.0, 1.0, 0.5, 3.0], 0.0, None).unwrap_err();
-        assert_eq!((back.sample, back.before_s, back.t_s), (2, 1.0, 0.5));
+        let back = StampsError::NotAscending {
+            sample: 2,
+            before_s: 1.0,
+            t_s: 0.5,
+        };
+        assert_eq!(time_base(vec![0.0, 1.0, 0.5, 3.0], 0.0, None), Err(back));
         assert!(time_base(vec![0.0, -1.0], 0.0, None).is_err());
         // Within the resolution of an even grid, and yet a table that was pasted twice.
         assert!(time_base(vec![0.0, 1e-3, 0.0, 1e-3], 1e-3, None).is_err());

@@ -117,7 +117,7 @@ impl CaptureFile for CsvSource {
                 let base = time_base(columns.stamps, resolution_s, interval_s);
                 Some(base.map_err(|e| {
                     // Empty lines between samples are not counted.
-                    FormatError::at_line(begin.line() + e.sample as u64, e.to_string())
+                    FormatError::at_line(begin.line() + e.sample() as u64, e.to_string())
                 })?)
             }
         };
