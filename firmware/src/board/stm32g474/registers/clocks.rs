@@ -53,6 +53,8 @@ fn pll_beside() -> Config {
         divr: Some(rcc::PllRDiv::DIV2),
     });
     config.rcc.sys = rcc::Sysclk::HSI;
+    // Errata, "Unstable LSI when it clocks RTC": after a brown-out it may run at three halves of its frequency.
+    config.rcc.ls.rtc = rcc::RtcClockSource::DISABLE;
     // It would write another bit than R1MODE.
     config.rcc.boost = false;
     config.rcc.hsi48 = Some(rcc::Hsi48Config {

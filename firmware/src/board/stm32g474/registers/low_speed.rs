@@ -13,7 +13,7 @@ const TI1_LSI: u8 = 6;
 const DIVIDER: u32 = CORE_MHZ * 1_000_000 / COUNTS_PER_S;
 
 /// TIM, "Input capture mode": channel 1 on TI1, every eighth edge. Its clock is that of APB2, which is not divided. LSI runs
-/// already: embassy-stm32 starts it for the real-time clock.
+/// already: embassy-stm32 starts it.
 pub fn start() {
     const { assert!(PERIODS == 8, "IC1PSC = 3") };
     rcc::enable_and_reset::<peripherals::TIM16>();

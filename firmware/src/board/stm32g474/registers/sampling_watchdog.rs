@@ -29,6 +29,8 @@ const TIM2_TRGO: u8 = 2;
 /// of APB1, which is not divided. HRTIM's side is in [`faults`].
 pub fn start() {
     rcc::enable_and_reset::<peripherals::TIM2>();
+    // DBGMCU outlasts every reset but power-on, with what a debugger left in it.
+    pac::DBGMCU.apb1lfzr().modify(|w| w.set_tim2(false));
     let timer = pac::TIM2;
     timer.ccmr_output(0).write(|w| w.set_ocm(0, Ocm::PWM_MODE2));
     timer.ccr(0).write_value(LIMIT_CYCLES);
