@@ -1,5 +1,7 @@
 //! Journal: events and commands.
 
+use std::ops::Range;
+
 use rusqlite::{Connection, OptionalExtension, params};
 use serde::Serialize;
 
@@ -62,7 +64,7 @@ pub struct JournalFilter {
     pub since_ms: Option<i64>,
     /// Only before this time, in milliseconds since 1970, UTC.
     pub before_ms: Option<i64>,
-    /// Most rows; 200 if `None`.
+    /// Most rows, 200 if `None`; beside them come all of the last one's millisecond.
     pub limit: Option<u32>,
 }
 
@@ -176,12 +178,33 @@ pub(crate) fn audit(connection: &Connection, limit: u32) -> rusqlite::Result<Vec
     rows.collect()
 }
 
-/// Returns the events and commands that match a filter, newest first.
+/// Returns the events and commands that match a filter, newest first: no part of a millisecond, so that the time of the last row, as
+/// the next filter's end, leaves none out.
 pub(crate) fn rows(
     connection: &Connection,
     filter: &JournalFilter,
 ) -> rusqlite::Result<Vec<JournalRow>> {
     let limit = filter.limit.unwrap_or(DEFAULT_LIMIT);
+    let since_ms = filter.since_ms.unwrap_or(i64::MIN);
+    let before_ms = filter.before_ms.unwrap_or(i64::MAX);
+    let mut rows = between(connection, filter, since_ms..before_ms, limit)?;
+    if rows.len() == limit as usize
+        && let Some(last_ms) = rows.last().map(|row| row.at_ms)
+    {
+        rows.retain(|row| row.at_ms > last_ms);
+        let of_last = last_ms..last_ms.saturating_add(1);
+        rows.extend(between(connection, filter, of_last, u32::MAX)?);
+    }
+    Ok(rows)
+}
+
+/// Returns the newest rows of a time in milliseconds, at most `limit`.
+fn between(
+    connection: &Connection,
+    filter: &JournalFilter,
+    time_ms: Range<i64>,
+    limit: u32,
+) -> rusqlite::Result<Vec<JournalRow>> {
     // Each has an index of its own over time, so that neither is read further than the limit.
     let part = |columns: &str, table: &str, kind: &str| {
         format!(
@@ -205,8 +228,8 @@ pub(crate) fn rows(
     let sql = format!("{events} UNION ALL {commands} ORDER BY at_ms DESC, id DESC LIMIT ?5");
     let mut statement = connection.prepare(&sql)?;
     let of = params![
-        filter.since_ms.unwrap_or(i64::MIN),
-        filter.before_ms.unwrap_or(i64::MAX),
+        time_ms.start,
+        time_ms.end,
         filter.kind,
         filter.device,
         limit

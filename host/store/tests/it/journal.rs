@@ -46,10 +46,13 @@ fn events_and_commands_are_one_journal_newest_first() {
             event(NOON_MS + 31_000, "stranger", "state", "searching"),
         ])
         .unwrap();
+    // More in one millisecond than a page has.
+    let at_once = [(); 5].map(|()| event(NOON_MS + 12_345, "bench", "pot", "moved"));
+    store.keep_events(&at_once).unwrap();
     let reader = StoreReader::open(folder.path()).unwrap();
     let read = |filter: JournalFilter| reader.journal(&filter).unwrap();
     let all = read(JournalFilter::default());
-    assert_eq!(all.len(), 23);
+    assert_eq!(all.len(), 28);
     assert!(all.is_sorted_by(|a, b| a.at_ms >= b.at_ms));
     assert_eq!(
         (
@@ -73,9 +76,9 @@ fn events_and_commands_are_one_journal_newest_first() {
         device: Some(device.to_owned()),
         ..JournalFilter::default()
     };
-    assert_eq!(read(of("bench")).len(), 11);
+    assert_eq!(read(of("bench")).len(), 16);
     assert!(
-        !read(of("bench"))[9].text.contains('\u{1b}'),
+        !read(of("bench"))[14].text.contains('\u{1b}'),
         "nothing for a terminal"
     );
     assert_eq!(read(of("")).len(), 2, "the daemon's own");
