@@ -51,15 +51,17 @@ fn sums(segment: &Segment, ends: &[usize]) -> Vec<(f64, f64)> {
     ends.iter().map(up_to).collect()
 }
 
-/// Estimate nearest to the middle of the last complete half-cycle: the current's crest.
+/// Least distance of the crest from the segment's ends, in half-cycles: an estimate at an end has samples on one side only.
+const INSIDE: f64 = 0.05;
+
+/// Estimate nearest to the last middle of a half-cycle that lies inside the segment: the current's crest.
 pub fn crest(segment: &Segment, estimate: &Estimate) -> Option<usize> {
     let half_s = segment.half_cycle_s();
     let off = |t: f64| (segment.since_crossing_s(t) - 0.5 * half_s).abs();
-    let near = estimate
-        .t_s
-        .iter()
-        .enumerate()
-        .filter(|(_, t)| off(**t) < AT_CREST * half_s);
+    let (from_s, to_s) = (segment.t0_s, segment.t_s(segment.len()));
+    let is_inside = |t: f64| (t - from_s).min(to_s - t) > INSIDE * half_s;
+    let near = (estimate.t_s.iter().enumerate())
+        .filter(|(_, t)| off(**t) < AT_CREST * half_s && is_inside(**t));
     let last = near.clone().next_back().map(|(_, t)| *t)?;
     let of_last = near.filter(|(_, t)| last - **t < 0.5 * half_s);
     of_last
@@ -79,7 +81,35 @@ pub fn crest_of(segment: &Segment, estimate: &Estimate, from_s: f64) -> Option<u
 
 #[cfg(test)]
 mod tests {
+    use ihd_identify::Method;
+
     use super::*;
+
+    /// A capture triggered at the crest, for a whole half-cycle or more.
+    #[test]
+    fn a_crest_at_an_end_of_the_capture_is_none() {
+        let crest_s = |from_s: f64, to_s: f64| {
+            let dt_s = 1e-5;
+            let zero = Samples::singles(vec![0.0; ((to_s - from_s) / dt_s).round() as usize]);
+            let segment = Segment {
+                t0_s: from_s,
+                dt_s,
+                v_v: zero.clone(),
+                i_a: zero,
+                f_sw_hz: 50e3,
+                mains_hz: 50.0,
+                zero_crossing_s: 0.0,
+            };
+            let mut estimate = Estimate::new(Method::Lockin, 50e3);
+            let points = (0..segment.len()).step_by(10);
+            estimate.t_s = points.map(|k| segment.t_s(k)).collect();
+            crest(&segment, &estimate).map(|k| estimate.t_s[k])
+        };
+        assert_eq!(crest_s(5e-3, 15e-3), None);
+        let near = |found: Option<f64>, t_s: f64| found.is_some_and(|t| (t - t_s).abs() < 1e-9);
+        assert!(near(crest_s(0.0, 15.3e-3), 5e-3));
+        assert!(near(crest_s(0.0, 20e-3), 15e-3));
+    }
 
     /// A current clamp's offset of 20 A weighs the weak current beside the crossings no more than its true square does.
     #[test]
