@@ -25,6 +25,16 @@ pub(super) struct ModelChoice {
     pub skew_s: FittedValue,
 }
 
+/// All models.
+pub(super) const MODELS: [Model; 6] = [
+    Model::Right,
+    Model::Skew,
+    Model::SlowCurrent,
+    Model::Droop,
+    Model::SkewAndDroop,
+    Model::SlowCurrentAndDroop,
+];
+
 /// Guards after an edge in seconds, tried in order: an edge of 0.2 µs with ringing; a filter of 500 kHz; the slowest that
 /// leaves half a plateau.
 const AFTER_S: [f64; 5] = [0.3e-6, 0.7e-6, 1.2e-6, 1.8e-6, 2.6e-6];
@@ -44,7 +54,7 @@ pub(super) fn choose(
     stretches: &[Stretch<'_>],
     settling_s: Option<f64>,
 ) -> Result<ModelChoice, BlindError> {
-    choose_between(&edges(stretches), settling_s)
+    choose_between(&edges(stretches), settling_s, &MODELS)
 }
 
 /// Finds the edges of the stretches; those without are left out.
@@ -53,10 +63,11 @@ pub(super) fn edges<'s, 'c>(stretches: &'s [Stretch<'c>]) -> Vec<(&'s Stretch<'c
     with_edges.flatten().collect()
 }
 
-/// Chooses a model, as [`choose`], between edges that are known.
+/// Chooses one of these models, as [`choose`], between edges that are known.
 pub(super) fn choose_between(
     edges: &[(&Stretch<'_>, Edges)],
     settling_s: Option<f64>,
+    models: &[Model],
 ) -> Result<ModelChoice, BlindError> {
     let mut best: Option<ModelChoice> = None;
     let mut bases = Bases::default();
@@ -72,7 +83,7 @@ pub(super) fn choose_between(
             .flat_map(|(s, edges)| of_stretch(s, edges, of(s), settling_s, &mut bases))
             .collect();
         most = most.max(plateaus.len());
-        let Some(now) = judge(&plateaus, settling_s.is_some()) else {
+        let Some(now) = judge(&plateaus, settling_s.is_some(), models) else {
             continue;
         };
         let fits = now.is_flat();
@@ -107,7 +118,7 @@ const SIDES_SIGMAS: f64 = 3.5;
 const SIDES_SHARE: f64 = 2e-3;
 const SIDES_S: f64 = 1.5e-9;
 
-fn judge(plateaus: &[Plateau], tail: bool) -> Option<ModelChoice> {
+fn judge(plateaus: &[Plateau], tail: bool, models: &[Model]) -> Option<ModelChoice> {
     let moments = moments(plateaus);
     let scope = |side| Scope {
         plateaus,
@@ -134,7 +145,7 @@ fn judge(plateaus: &[Plateau], tail: bool) -> Option<ModelChoice> {
         [None, None] => return None,
     };
     let mut scope = scope(side);
-    let (fit, skew_s, beyond_skew) = best_model(&scope)?;
+    let (fit, skew_s, beyond_skew) = best_model(&scope, models)?;
     scope.cubic = true;
     let used = || plateaus.iter().filter(|p| side.is_none_or(|s| s == p.side));
     let i_a = used().map(|p| p.carrier.i_a).fold(0.0, f64::max);
@@ -168,19 +179,9 @@ fn agree(a: &Fit, b: &Fit) -> bool {
 
 /// Model with the least Bayesian information criterion; the equivalent skew; and the squared deviations that the model
 /// explains beyond a skew.
-fn best_model(scope: &Scope) -> Option<(Fit, FittedValue, f64)> {
-    let all: Vec<Fit> = [
-        Model::Right,
-        Model::Skew,
-        Model::SlowCurrent,
-        Model::Droop,
-        Model::SkewAndDroop,
-        Model::SlowCurrentAndDroop,
-    ]
-    .into_iter()
-    .filter_map(|model| scope.fit(model))
-    .filter(is_physical)
-    .collect();
+fn best_model(scope: &Scope, models: &[Model]) -> Option<(Fit, FittedValue, f64)> {
+    let fits = models.iter().filter_map(|model| scope.fit(*model));
+    let all: Vec<Fit> = fits.filter(is_physical).collect();
     let skew = scope.fit(Model::Skew)?;
     let least = all.iter().map(|f| f.left.0).fold(f64::INFINITY, f64::min);
     let numbers = skew.left.1 as f64;

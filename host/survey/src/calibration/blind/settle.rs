@@ -2,10 +2,11 @@
 //! capture is corrected and the rest estimated again, until nothing is left.
 
 use super::super::delay::delay;
-use super::choose::{ModelChoice, choose, choose_between, edges};
+use super::choose::{MODELS, ModelChoice, choose, choose_between, edges};
 use super::correction::Correction;
 use super::edges::{Edges, Stretch};
 use super::error::BlindError;
+use super::fit::Model;
 use super::samples::StretchSamples;
 
 /// Result after such a correction; both times are 0 if there was none.
@@ -36,7 +37,7 @@ pub(super) fn settle(
     settling_s: Option<f64>,
 ) -> Result<SettledChoice, BlindError> {
     let edges = edges(stretches);
-    let plain = choose_between(&edges, settling_s)?;
+    let plain = choose_between(&edges, settling_s, &MODELS)?;
     let skew = plain.skew_s;
     let nothing = |chosen| SettledChoice {
         chosen,
@@ -114,7 +115,9 @@ fn shared_filter(edges: &[(&Stretch<'_>, Edges)], plain: &ModelChoice) -> Option
     if skew.value.abs() < MIN_TAIL_S.max(MIN_TAIL_SIGMAS * skew.sigma) {
         return None;
     }
-    let with = |tau_s: f64| choose_between(edges, Some(tau_s)).ok();
+    // A droop bends a plateau much as a tail does.
+    let models = [Model::Right, Model::Skew];
+    let with = |tau_s: f64| choose_between(edges, Some(tau_s), &models).ok();
     // How much of a plateau the model explains, then how well.
     let better = |a: &ModelChoice, b: &ModelChoice| {
         let flat = a.is_flat().cmp(&b.is_flat());
