@@ -221,8 +221,26 @@ impl CaptureSpec {
                 allowed: "1 ns to a quarter of the edge (50 ns for 0.2 µs)",
             });
         }
+        self.check_behavioural()?;
         self.check_events()?;
         self.sensing.check(self.edge_s)
+    }
+
+    /// Checks that nothing is asked of a behavioural load that it has not: it is one curve for each metal.
+    fn check_behavioural(&self) -> Result<(), InverterError> {
+        if self.load != LoadKind::Behavioural {
+            return Ok(());
+        }
+        for (field, value, only) in [
+            ("lift_m", self.pot.lift_m, 0.0),
+            ("offset_m", self.pot.offset_m, 0.0),
+            ("temperature_c", self.pot.temperature_c, 20.0),
+            ("winding_r_ohm", self.winding_r_ohm, 0.0),
+        ] {
+            let allowed = "left out, as a behavioural load does not have it; load=reduced does";
+            in_range(field, value, only, only, allowed)?;
+        }
+        Ok(())
     }
 
     /// Checks a switching frequency, with the modulation around it.
@@ -296,6 +314,26 @@ mod tests {
                 .to_string()
                 .contains("paper-60")
         );
+    }
+
+    #[test]
+    fn what_a_behavioural_load_does_not_have_is_refused() {
+        for change in [
+            (|s| s.pot.lift_m = 0.02) as fn(&mut CaptureSpec),
+            |s| s.pot.offset_m = 0.03,
+            |s| s.pot.temperature_c = 300.0,
+            |s| s.winding_r_ohm = 0.5,
+        ] {
+            let mut s = CaptureSpec {
+                load: LoadKind::Behavioural,
+                ..CaptureSpec::default()
+            };
+            assert_eq!(s.check(), Ok(()));
+            change(&mut s);
+            assert!(s.check().is_err(), "{s:?}");
+            s.load = LoadKind::Surrogate;
+            assert_eq!(s.check(), Ok(()));
+        }
     }
 
     #[test]

@@ -91,7 +91,6 @@ impl Case {
 pub(super) fn base() -> CaptureSpec {
     let mut s = CaptureSpec {
         load: LoadKind::Behavioural,
-        winding_r_ohm: 0.1,
         ..CaptureSpec::default()
     };
     s.sensing.rate = Rate::Hz(12.5e6);

@@ -121,7 +121,7 @@ fn mains_and_length() -> Vec<Case> {
 fn pots() -> Vec<Case> {
     let reduced = |pot: SimulatedPot, khz: f64| {
         with(|s| {
-            s.load = LoadKind::Surrogate;
+            (s.load, s.winding_r_ohm) = (LoadKind::Surrogate, 0.1);
             s.pot = pot;
             s.f_sw_hz = khz * 1e3;
             s.sensing.snr_db = Some(60.0);
