@@ -120,6 +120,15 @@ impl DeviceRecord {
         }
     }
 
+    /// Publishes that nobody has the lease any more, for this reason.
+    pub fn publish_lease_end(&self, why: String) {
+        self.publish(EventKind::Lease {
+            holder: String::new(),
+            taken_from: String::new(),
+            why,
+        });
+    }
+
     /// Stores an event of the device. Without room in the store it is dropped and counted.
     pub fn store_event(&self, store: StoreAccess, kind: &'static str, text: &str) {
         let (name, address) = (self.name.clone(), self.address.clone());

@@ -64,6 +64,12 @@ fn boxcar_gain(n: f64, turns: f64) -> f64 {
 }
 
 impl Boxcar {
+    /// Chooses the boxcar of about so many switching periods of a segment, as [`Boxcar::fitting`].
+    pub fn of_periods(segment: &Segment, periods: f64) -> Self {
+        let f_sw_hz = segment.f_sw_hz;
+        Self::fitting(segment.samples_per_period(), f_sw_hz, periods / f_sw_hz)
+    }
+
     /// Chooses the boxcar nearest to `boxcar_s` seconds that lets the least of the image at twice f_sw and of the harmonics pass.
     ///
     /// The first boxcar sums samples, the second one sums of blocks: what turns by whole turns from block to block passes the second

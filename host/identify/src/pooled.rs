@@ -81,8 +81,7 @@ fn u(i_a: f64) -> f64 {
 /// Boxcar behind which the phasors of a segment are pooled: of three switching periods, as of two and four, there is one that whole
 /// samples nearly fill, also at 61/3 samples a period, so that the harmonics lie on its zeros.
 pub fn boxcar(segment: &Segment) -> Boxcar {
-    let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
-    Boxcar::fitting(per_period, f_sw_hz, BOXCAR_PERIODS / f_sw_hz)
+    Boxcar::of_periods(segment, BOXCAR_PERIODS)
 }
 
 /// Mean of phasors.

@@ -256,7 +256,7 @@ fn harmonic_voltage(
     mut sink: impl FnMut(usize, &[f32], &[f64]),
 ) {
     let per_period = segment.samples_per_period();
-    let length = Boxcar::fitting(per_period, segment.f_sw_hz, 1.0 / segment.f_sw_hz).samples();
+    let length = Boxcar::of_periods(segment, 1.0).samples();
     let orders: [f64; ORDERS] = std::array::from_fn(|k| (2 * k + 1) as f64);
     let windows = CentredHarmonics::new(segment.f_sw_hz * segment.dt_s, length, orders);
     let omega = TAU * segment.f_sw_hz;

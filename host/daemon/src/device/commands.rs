@@ -79,11 +79,18 @@ impl DeviceSession<'_> {
             }
             // The others reply later: once the device uses the lookup, or the file is there.
             Command::LookupPush { blob } => {
-                self.push_lookup(&blob, reply).await;
+                let lookup = RlLookup::from_bytes(&blob).map(LookupToPush::without_certainty);
+                let found = lookup.map(|lookup| (lookup, "pushed by hand".to_owned()));
+                self.push_lookup(found.map_err(|why| why.to_string()), reply)
+                    .await;
                 return Ok(());
             }
             Command::LookupRollback { version } => {
-                self.roll_back(version, reply).await;
+                let found = self.lookups.find(version).await.map(|lookup| {
+                    let why = format!("rolled back to version {}", lookup.lookup.version);
+                    (lookup, why)
+                });
+                self.push_lookup(found, reply).await;
                 return Ok(());
             }
             Command::RecordStart(settings) => {
@@ -109,24 +116,14 @@ impl DeviceSession<'_> {
         checked.map_err(|error| error.to_string())
     }
 
-    async fn push_lookup(&mut self, blob: &[u8], reply: ReplySender) {
-        match RlLookup::from_bytes(blob) {
-            Ok(lookup) => {
-                let lookup = LookupToPush::without_certainty(lookup);
-                let why = "pushed by hand";
-                let push = self.lookups.push(&mut self.link, lookup, why, Some(reply));
-                let _ = push.await;
-            }
-            Err(why) => {
-                let _ = reply.send(Err(self.refused_error(&why.to_string())));
-            }
-        }
-    }
-
-    async fn roll_back(&mut self, version: Option<u32>, reply: ReplySender) {
-        match self.lookups.find(version).await {
-            Ok(lookup) => {
-                let why = format!("rolled back to version {}", lookup.lookup.version);
+    /// Pushes a lookup for a reason, or replies why there is none.
+    async fn push_lookup(
+        &mut self,
+        found: Result<(LookupToPush, String), String>,
+        reply: ReplySender,
+    ) {
+        match found {
+            Ok((lookup, why)) => {
                 let push = self.lookups.push(&mut self.link, lookup, &why, Some(reply));
                 let _ = push.await;
             }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use ihd_link::{Client, GrantedPower, LinkError};
-use ihd_model::{DeviceState, EventKind};
+use ihd_model::DeviceState;
 use ihd_shared::wire::messages::{NO_PANEL, Status};
 use ihd_train::WINDOWS_EVERY;
 use tokio::runtime::Handle;
@@ -102,11 +102,7 @@ impl DeviceSession<'_> {
             "the lease has ended"
         );
         self.store_event("lease", &why);
-        self.record.publish(EventKind::Lease {
-            holder: String::new(),
-            taken_from: String::new(),
-            why,
-        });
+        self.record.publish_lease_end(why);
     }
 
     /// Returns the sweep; drops it if its lease or its power has ended.

@@ -1,6 +1,6 @@
 //! Reports about a device without its session.
 
-use ihd_model::{CommandError, EventKind};
+use ihd_model::CommandError;
 
 use crate::device_record::DeviceRecord;
 
@@ -20,9 +20,5 @@ pub fn not_connected_error(record: &DeviceRecord) -> CommandError {
 /// Logs and publishes that a lease has expired.
 pub(super) fn publish_lease_expired(record: &DeviceRecord, holder: &str) {
     tracing::info!(device = record.name, holder, "the lease has run out");
-    record.publish(EventKind::Lease {
-        holder: String::new(),
-        taken_from: String::new(),
-        why: "it has run out".to_owned(),
-    });
+    record.publish_lease_end("it has run out".to_owned());
 }

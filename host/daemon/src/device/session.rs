@@ -171,11 +171,7 @@ impl<'a> DeviceSession<'a> {
         };
         let why = format!("nothing ran here for {:.0} s", suspended.as_secs_f64());
         if self.record.lock().lease.revoke().is_some() {
-            self.record.publish(EventKind::Lease {
-                holder: String::new(),
-                taken_from: String::new(),
-                why: why.clone(),
-            });
+            self.record.publish_lease_end(why.clone());
         }
         Err(SessionEnd::Suspended(why))
     }

@@ -46,8 +46,7 @@ pub(super) struct Residual {
 impl Residual {
     /// Demodulates a segment with a boxcar of so many switching periods; `None` if it has too few phasors.
     pub(super) fn demodulate(segment: &Segment, periods: f64) -> Option<Self> {
-        let (per_period, f_sw_hz) = (segment.samples_per_period(), segment.f_sw_hz);
-        let boxcar = Boxcar::fitting(per_period, f_sw_hz, periods / f_sw_hz);
+        let boxcar = Boxcar::of_periods(segment, periods);
         Self::from_phasors(segment, boxcar, &demodulate(segment, boxcar))
     }
 

@@ -7,7 +7,6 @@ use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use ihd_link::{Client, DeviceEvent, Window};
@@ -351,19 +350,16 @@ pub fn status(url: &str) -> Option<Value> {
 /// Heats a hob of the daemon in `folder` once. Each attempt is twice as long as the one before: on a busy machine a simulated hob finds
 /// no pot within seconds.
 pub fn heat(folder: &Path, hob: &str, power_w: &str) {
-    let (began, mut for_s) = (Instant::now(), 3);
-    loop {
+    let mut for_s = 3;
+    until("a hob that heats", PATIENCE, || {
         let mut command = ihd(folder);
         command.args(["device", hob, "power", power_w, "--for"]);
         let out = command.arg(for_s.to_string()).output();
         let out = out.expect("ihd device runs");
-        if out.status.success() {
-            return;
-        }
-        assert!(began.elapsed() < PATIENCE, "{out:?}");
-        thread::sleep(Duration::from_millis(200));
+        println!("{out:?}");
         for_s = (2 * for_s).min(100);
-    }
+        out.status.success()
+    });
 }
 
 /// Time-out of a hang; no test measures it. Less than the runner's, which shows no log.

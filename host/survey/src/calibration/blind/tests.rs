@@ -117,7 +117,7 @@ fn the_deviation_told_is_that_of_many_seeds() {
     assert!((0.55..1.8).contains(&(shown / told)), "{shown:e} {told:e}");
 }
 
-/// What both channels share changes neither R nor L, and its tails after the edges are no lag.
+/// A filter of both channels changes neither R nor L, and its tails after the edges are no lag.
 #[test]
 fn a_filter_that_both_channels_share_is_no_lag() {
     for (pole_hz, f_sw_hz, rate_hz) in [
