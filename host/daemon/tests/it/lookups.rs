@@ -7,7 +7,7 @@ use ihd_shared::lookup::prior::prior;
 use ihd_sim::hob::HobConfig;
 use ihd_store::{LookupState, Store};
 
-use super::rig::{Rig, until, until_state, wait_for_event};
+use super::rig::{Rig, command_stored, until, until_state, wait_for_event};
 
 /// Returns a valid lookup of a version, with one observed cell.
 fn lookup(version: u32, mark: usize) -> RlLookup {
@@ -18,7 +18,7 @@ fn lookup(version: u32, mark: usize) -> RlLookup {
 
 async fn push(daemon: &Daemon, lookup: &RlLookup) -> String {
     let blob = lookup.to_bytes().to_vec();
-    let pushed = daemon.command("bench", "a", Command::LookupPush { blob });
+    let pushed = command_stored(daemon, Command::LookupPush { blob });
     pushed.await.unwrap().text
 }
 
@@ -46,9 +46,7 @@ async fn pushed_rolled_back_and_reset() {
     assert_eq!(report.lookup.active, Some(2));
     let rows = states(&daemon).await;
     assert_eq!(rows, [(0, Superseded), (1, Superseded), (2, Active)]);
-    let back = daemon
-        .command("bench", "a", Command::LookupRollback { version: None })
-        .await;
+    let back = command_stored(&daemon, Command::LookupRollback { version: None }).await;
     assert!(back.unwrap().text.contains("version 3"));
     let active = daemon.view().lookups("bench").await.unwrap().pop().unwrap();
     assert_eq!(
@@ -56,10 +54,7 @@ async fn pushed_rolled_back_and_reset() {
         lookup(3, 1).to_bytes(),
         "the cells of version 1"
     );
-    daemon
-        .command("bench", "a", Command::LookupReset)
-        .await
-        .unwrap();
+    command_stored(&daemon, Command::LookupReset).await.unwrap();
     let report = until(&daemon, |r| r.lookup.on_device == Some(0)).await;
     assert_eq!(report.lookup.active, Some(0));
     daemon.stop().await;

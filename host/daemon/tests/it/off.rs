@@ -7,7 +7,7 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::StoreReader;
 
-use super::rig::{Clock, Rig, let_hob_run, nap, power, until, until_state};
+use super::rig::{Clock, Rig, command_stored, let_hob_run, nap, power, until, until_state};
 
 /// Number of commands that wait for the device's task; more than its queue holds.
 const WAITING: usize = 20;
@@ -143,7 +143,7 @@ async fn what_was_refused_because_the_store_is_stuck_does_not_happen_later() {
         let blob = lookup.to_bytes().to_vec();
         Command::LookupPush { blob }
     };
-    daemon.command("bench", "a", push(1)).await.unwrap();
+    command_stored(&daemon, push(1)).await.unwrap();
     let lock = rig.lock_database();
     let clock = Clock::stop();
     for command in [push(2), Command::LookupReset] {

@@ -337,6 +337,20 @@ pub async fn power(
         .await
 }
 
+/// Carries out a command of which the store must know. On a busy machine the store may miss the device's time limit, and the
+/// daemon refuses: nothing happened then, and the command is given again.
+pub async fn command_stored(
+    daemon: &Daemon,
+    command: Command,
+) -> Result<CommandReply, CommandError> {
+    loop {
+        match daemon.command("bench", "a", command.clone()).await {
+            Err(error) if error.to_string().contains("the store ") => nap().await,
+            done => return done,
+        }
+    }
+}
+
 /// Task that renews the lease of `bench` until it is dropped: on a busy machine a test may take longer than a lease lasts.
 pub struct LeaseKeeper(JoinHandle<()>);
 

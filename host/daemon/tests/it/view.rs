@@ -6,7 +6,9 @@ use ihd_daemon::{Daemon, DaemonError, JournalFilter};
 use ihd_model::{Command, DeviceState, EventKind, Fit, History, WindowQuery};
 use ihd_sim::behavioural::PotKind;
 
-use super::rig::{PATIENCE, Rig, keep_lease, nap, power, until, until_state, wait_for_event};
+use super::rig::{
+    PATIENCE, Rig, command_stored, keep_lease, nap, power, until, until_state, wait_for_event,
+};
 
 /// Query for a whole window.
 const WHOLE: WindowQuery = WindowQuery {
@@ -300,12 +302,12 @@ async fn any_earlier_version_can_be_gone_back_to() {
     for version in [1, 2, 3] {
         let blob = cells(version).to_bytes().to_vec();
         let push = Command::LookupPush { blob };
-        daemon.command("bench", "me", push).await.unwrap();
+        command_stored(&daemon, push).await.unwrap();
     }
     let back = |version| Command::LookupRollback {
         version: Some(version),
     };
-    daemon.command("bench", "me", back(1)).await.unwrap();
+    command_stored(&daemon, back(1)).await.unwrap();
     let report = until(&daemon, |r| r.lookup.active == Some(4)).await;
     assert_eq!(report.lookup.on_device, Some(4));
     let map = daemon.view().map("bench", None).await.unwrap().unwrap();
