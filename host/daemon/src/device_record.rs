@@ -65,6 +65,8 @@ pub struct Inner {
     pub lease: LeaseBook,
     /// Remaining powers of a sweep, in watt.
     pub sweep_left_w: Vec<u16>,
+    /// `true` if the last sweep ended after its last power.
+    pub sweep_is_complete: bool,
     /// Number of connections so far.
     pub connections: u32,
     /// Frames dropped because they exceeded what a hob sends.
@@ -112,6 +114,7 @@ impl DeviceRecord {
                 windows: WindowAccounting::default(),
                 lease: LeaseBook::default(),
                 sweep_left_w: Vec::new(),
+                sweep_is_complete: false,
                 connections: 0,
                 frames_beyond: 0,
                 is_resumed: false,
@@ -232,6 +235,7 @@ impl DeviceRecord {
             asked_by_daemon_w: inner.lease.asked_w(),
             lease: inner.lease.current(Instant::now()),
             sweep_left_w: inner.sweep_left_w.clone(),
+            sweep_is_complete: inner.sweep_is_complete,
             recording: self.recorder.path().map(|path| path.display().to_string()),
             recording_now: self.recorder.active(),
             recording_failure: self.recorder.failure().map(|why| printable(&why)),

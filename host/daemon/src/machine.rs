@@ -68,13 +68,27 @@ impl Machine {
         (self.clock)()
     }
 
-    /// Returns the time since the start of the daemon, on most systems without time in suspend.
-    pub fn uptime(&self) -> Duration {
+    /// Returns the time for which the machine was awake since the start of the daemon. On some systems suspend counts, too.
+    pub fn awake(&self) -> Duration {
         #[cfg(any(test, feature = "simulation"))]
         if let Some(simulated) = &self.simulated {
             return simulated.began.elapsed();
         }
         self.began.elapsed()
+    }
+
+    /// Returns the time since a fixed instant, with suspend. A simulated machine is never suspended.
+    pub fn elapsed(&self) -> Duration {
+        #[cfg(any(test, feature = "simulation"))]
+        if self.simulated.is_some() {
+            return self.awake();
+        }
+        #[cfg(target_os = "linux")]
+        if let Ok(time) = nix::time::ClockId::CLOCK_BOOTTIME.now() {
+            return time.into();
+        }
+        // The other systems have no such clock in common but the wall's, which may also be set.
+        Duration::from_millis(self.now_ms().unsigned_abs())
     }
 
     /// Returns the wall clock, for the store.

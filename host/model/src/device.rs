@@ -181,6 +181,9 @@ pub struct DeviceReport {
     pub lease: Option<Lease>,
     /// Remaining powers of the running sweep, in watt; empty without one.
     pub sweep_left_w: Vec<u16>,
+    /// `true` if the last sweep ended after its last power; `false` while one runs, and if one was ended earlier.
+    #[serde(default)]
+    pub sweep_is_complete: bool,
     /// File of the running recording; `None` without one.
     pub recording: Option<String>,
     /// Recording that is armed or running; `None` without one.

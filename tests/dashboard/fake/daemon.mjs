@@ -123,6 +123,7 @@ export class Daemon extends EventEmitter {
       asked_by_daemon_w: hob.askedByDaemonW,
       lease,
       sweep_left_w: hob.sweep,
+      sweep_is_complete: false,
       recording: hob.recording?.file ?? null,
       recording_now: hob.recording && { settings: hob.recording.settings, file: hob.recording.file, since_s: (nowMs - hob.recording.sinceMs) / 1000 },
       pot_temperature: null,

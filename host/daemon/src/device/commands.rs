@@ -181,6 +181,7 @@ impl DeviceSession<'_> {
             let extended = inner.lease.keep_after_command(lease, Instant::now());
             extended.map_err(|error| error.to_string())?;
             inner.sweep_left_w = sweep.left_w();
+            inner.sweep_is_complete = false;
         }
         self.sweep = Some((lease, sweep));
         Ok(format!(

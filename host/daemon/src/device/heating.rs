@@ -138,6 +138,10 @@ impl DeviceSession<'_> {
                     }
                 }
             }
+            SweepStep::Complete => {
+                self.record.lock().sweep_is_complete = true;
+                self.end_heating("the sweep ended: done").await?;
+            }
             SweepStep::End(why) => self.end_heating(&format!("the sweep ended: {why}")).await?,
         }
         let sweep = self.sweep.as_ref();

@@ -65,7 +65,9 @@ pub enum SweepStep {
     SetPower(u16),
     /// Log this text.
     Log(String),
-    /// Switch off: the sweep has ended, for this reason.
+    /// Switch off: the last power is measured.
+    Complete,
+    /// Switch off: the sweep has ended earlier, for this reason.
     End(String),
 }
 
@@ -110,7 +112,7 @@ impl SweepState {
 
     fn next(&mut self, now: Instant) -> SweepStep {
         let Some(power_w) = self.left.pop_front() else {
-            return SweepStep::End("done".to_owned());
+            return SweepStep::Complete;
         };
         self.asked_w = power_w;
         self.phase = Phase::Settling(Settling {
@@ -270,6 +272,7 @@ mod tests {
                 SweepStep::Nothing => {}
                 SweepStep::SetPower(w) => self.asked.push(w),
                 SweepStep::Log(text) => self.log.push(text),
+                SweepStep::Complete => self.end = Some("done".to_owned()),
                 SweepStep::End(why) => self.end = Some(why),
             }
         }

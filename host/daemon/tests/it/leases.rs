@@ -169,6 +169,7 @@ async fn a_sweep_takes_one_power_after_the_other_and_ends_off() {
         let report = daemon.view().device("bench").unwrap();
         if report.sweep_left_w.is_empty() && report.asked_by_daemon_w == 0 {
             assert!(report.windows.stored >= 9, "{:?}", report.windows);
+            assert!(report.sweep_is_complete);
             break;
         }
         assert!(Instant::now() < deadline, "{report:#?}");

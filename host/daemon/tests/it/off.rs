@@ -107,7 +107,8 @@ async fn off_ends_a_sweep_for_good() {
         let_hob_run(rig.bench(), 0.5).await;
         assert_eq!(rig.bench().asked_w(), 0);
     }
-    until(&daemon, |r| r.sweep_left_w.is_empty()).await;
+    let report = until(&daemon, |r| r.sweep_left_w.is_empty()).await;
+    assert!(!report.sweep_is_complete);
     daemon.stop().await;
 }
 

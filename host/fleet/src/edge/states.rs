@@ -133,7 +133,7 @@ mod tests {
                 "glass_hot": true
             },
             "lookup": ihd_model::LookupReport::default(), "windows": ihd_model::WindowCounts::default(),
-            "asked_by_daemon_w": 500, "lease": null, "sweep_left_w": [], "recording": null, "recording_now": null,
+            "asked_by_daemon_w": 500, "lease": null, "sweep_left_w": [], "sweep_is_complete": false, "recording": null, "recording_now": null,
             "connections": 1
         }))
         .unwrap()

@@ -104,6 +104,7 @@ impl Direct {
             asked_by_daemon_w: 0,
             lease: None,
             sweep_left_w: Vec::new(),
+            sweep_is_complete: false,
             recording: None,
             recording_now: None,
             recording_failure: None,

@@ -90,14 +90,13 @@ pub(super) fn sweep(hob: &mut Hob, powers_w: &[u16], json: bool) -> Result<()> {
     let command = Command::Sweep {
         powers_w: powers_w.to_vec(),
     };
-    // The daemon has started the sweep when it answers; the last power is the last remaining one.
-    let mut left = powers_w.len();
+    // The daemon has started the sweep when it answers.
     let mut end = |_: Duration, _: &mut Hob, report: &DeviceReport| {
-        let before = std::mem::replace(&mut left, report.sweep_left_w.len());
-        if left > 0 || report.asked_by_daemon_w > 0 {
+        if !report.sweep_left_w.is_empty() || report.asked_by_daemon_w > 0 {
             return Ok(None);
         }
-        Ok(Some(if before <= 1 { "sweep" } else { ELSEWHERE }))
+        let is_complete = report.sweep_is_complete;
+        Ok(Some(if is_complete { "sweep" } else { ELSEWHERE }))
     };
     run(hob, &command, powers_w, &mut end, json)
 }

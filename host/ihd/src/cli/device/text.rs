@@ -202,6 +202,7 @@ mod tests {
             asked_by_daemon_w: 0,
             lease: None,
             sweep_left_w: vec![],
+            sweep_is_complete: false,
             recording: Some(evil.into()),
             recording_now: None,
             recording_failure: Some(evil.into()),

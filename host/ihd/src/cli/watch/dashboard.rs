@@ -289,7 +289,7 @@ pub(super) mod tests {
             },
             "asked_by_daemon_w": 1200,
             "lease": {"holder": "ada (ihd device, process 7)", "expires_in_s": 8},
-            "sweep_left_w": [], "recording": null, "recording_now": null, "connections": 1
+            "sweep_left_w": [], "sweep_is_complete": false, "recording": null, "recording_now": null, "connections": 1
         });
         serde_json::from_value(json).expect("a report")
     }
