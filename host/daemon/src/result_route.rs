@@ -23,16 +23,24 @@ pub async fn route_results(
     learner: Weak<Learner>,
     machine: Machine,
 ) {
-    while let Some(learned) = outcomes.recv().await {
-        let (device, new_lookup) = (learned.device.clone(), learned.new_lookup.clone());
+    while let Some(mut learned) = outcomes.recv().await {
+        let (device, forgotten_count) = (learned.device.clone(), learned.forgotten_count);
+        let has_forgotten = |learner: Arc<Learner>| learner.has_forgotten(&device, forgotten_count);
+        if learner.upgrade().is_some_and(has_forgotten) {
+            learned.leave_result_only();
+        }
+        let new_lookup = learned.new_lookup.clone();
         store_result(learned, &devices, &store, machine.now_ms()).await;
         let Some(built) = new_lookup else { continue };
         let version = built.lookup.version;
-        let lookup = LookupToPush {
-            certainty: Some(Certainty::quantise(&built.confidence(), &built.sigma())),
-            lookup: built.lookup,
+        let push = DeviceRequest::PushLookup {
+            lookup: Box::new(LookupToPush {
+                certainty: Some(Certainty::quantise(&built.confidence(), &built.sigma())),
+                lookup: built.lookup,
+            }),
+            forgotten_count,
         };
-        if !push(&devices, &device, lookup)
+        if !request(&devices, &device, push)
             && let Some(learner) = learner.upgrade()
         {
             // The learner builds it again from the next result.
@@ -118,9 +126,8 @@ fn fit(at_ms: i64, boot: u32, result: &NewResult, trace: &FitTrace, busy: Durati
     }
 }
 
-/// Sends a lookup to the device's task. Returns `false` if there is no such task or its queue is full.
-fn push(devices: &Devices, device: &str, lookup: LookupToPush) -> bool {
-    let request = DeviceRequest::PushLookup(Box::new(lookup));
+/// Sends a request to the device's task. Returns `false` if there is no such task or its queue is full.
+fn request(devices: &Devices, device: &str, request: DeviceRequest) -> bool {
     let handle = devices.get(device);
     handle.is_some_and(|handle| handle.requests.try_send(request).is_ok())
 }

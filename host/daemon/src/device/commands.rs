@@ -25,8 +25,15 @@ impl DeviceSession<'_> {
     /// The end of the session.
     pub(super) async fn on_request(&mut self, request: DeviceRequest) -> Result<(), SessionEnd> {
         match request {
-            DeviceRequest::PushLookup(lookup) => {
-                self.lookups.learned(&mut self.link, lookup).await;
+            DeviceRequest::PushLookup {
+                lookup,
+                forgotten_count,
+            } => {
+                let learner = &self.context.learner;
+                // One from before a reset has waited behind it.
+                if !learner.has_forgotten(&self.record.name, forgotten_count) {
+                    self.lookups.learned(&mut self.link, lookup).await;
+                }
                 Ok(())
             }
             DeviceRequest::Command {

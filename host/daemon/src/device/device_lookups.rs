@@ -327,11 +327,11 @@ impl<'a> DeviceLookups<'a> {
     pub async fn reset(&mut self, link: &mut DeviceLink) -> Result<(), String> {
         let forgotten = self.rows.reset().await;
         forgotten.ok_or("the store cannot forget what was learned: nothing is reset")?;
+        self.context.learner.forget(&self.record.name);
         let reset = link.request(Client::reset_lookup).await;
         reset.map_err(|error| error.to_string())?;
         self.abandon_push();
         self.push.forget_queued();
-        self.context.learner.forget(&self.record.name);
         self.context
             .learner
             .set_device_version(&self.record.name, 0);

@@ -18,7 +18,12 @@ pub enum DeviceRequest {
         reply: ReplySender,
     },
     /// Push a learned lookup.
-    PushLookup(Box<LookupToPush>),
+    PushLookup {
+        /// Lookup.
+        lookup: Box<LookupToPush>,
+        /// Number of times that the device's learning had been forgotten before.
+        forgotten_count: u64,
+    },
 }
 
 /// Sender of a command's outcome.

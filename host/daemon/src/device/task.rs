@@ -145,7 +145,7 @@ impl DeviceTask {
                         let _ = reply.send(Err(not_connected_error(&self.record)));
                     }
                     // The learner builds it again from the next result.
-                    Some(DeviceRequest::PushLookup(lookup)) => {
+                    Some(DeviceRequest::PushLookup { lookup, .. }) => {
                         self.report_lookup_refused(lookup.lookup.version);
                     }
                 },

@@ -79,6 +79,8 @@ pub struct LearnResult {
     pub boot: u32,
     /// Record for the store: numbers, the gate's verdict and its reason.
     pub result: NewResult,
+    /// Number of times that the device's learning had been forgotten before.
+    pub forgotten_count: u64,
     /// New lookup to push; `None` if it has not changed.
     pub new_lookup: Option<Box<BuiltLookup>>,
     /// Reason for which no lookup that a device would accept follows from the window; learning goes on.
@@ -92,4 +94,12 @@ pub struct LearnResult {
     pub trace: Box<FitTrace>,
     /// Channel that is signalled when the result is stored.
     pub stored: Option<oneshot::Sender<()>>,
+}
+
+impl LearnResult {
+    /// Drops what would bring back learning that was forgotten meanwhile.
+    pub fn leave_result_only(&mut self) {
+        (self.state, self.new_lookup) = (None, None);
+        self.result.changed_lookup = false;
+    }
 }

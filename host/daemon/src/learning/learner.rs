@@ -148,6 +148,11 @@ impl Learner {
         self.post(device, LearningEvent::LookupRefused(version));
     }
 
+    /// Returns `true` if a device's learning was forgotten again since a result with this count.
+    pub fn has_forgotten(&self, device: &str, forgotten_count: u64) -> bool {
+        self.shared.lock().queue.forgotten_count(device) > forgotten_count
+    }
+
     /// Forgets the load of a device.
     pub fn forget(&self, device: &str) {
         self.post(device, LearningEvent::Forget);

@@ -86,6 +86,8 @@ struct Slot {
     /// Waiting windows, each with its place in the order of all.
     jobs: VecDeque<(u64, LearnJob)>,
     unlearned: u64,
+    /// Number of [`LearningEvent::Forget`] so far.
+    forgotten: u64,
 }
 
 fn skew_s(device_learning: &DeviceLearning) -> Option<f64> {
@@ -134,9 +136,15 @@ impl Queue {
         self.devices.get(device).map_or(0, |slot| slot.unlearned)
     }
 
+    /// Returns how often a device's learning was to be forgotten.
+    pub fn forgotten_count(&self, device: &str) -> u64 {
+        self.devices.get(device).map_or(0, |slot| slot.forgotten)
+    }
+
     /// Applies an event to a device's learning, now or after its current window.
     pub fn post(&mut self, device: &str, event: LearningEvent) {
         if let Some(slot) = self.devices.get_mut(device) {
+            slot.forgotten += u64::from(event == LearningEvent::Forget);
             match &mut slot.device_learning {
                 Some(device_learning) => event.apply(&mut device_learning.learning),
                 None => slot.events.push(event),
@@ -165,6 +173,7 @@ impl Queue {
                 events: Vec::new(),
                 jobs: VecDeque::new(),
                 unlearned: 0,
+                forgotten: 0,
             })
     }
 

@@ -33,10 +33,11 @@ pub(super) fn settle(
         LookupUpdate::New(built) => (Some(built), None),
         LookupUpdate::Refused(why) => (None, Some(why)),
     };
-    let events = {
+    let (events, forgotten_count) = {
         let mut state = shared.lock();
         state.meter.add_fit(window_result.busy);
-        state.queue.take_events(&job.device)
+        let forgotten_count = state.queue.forgotten_count(&job.device);
+        (state.queue.take_events(&job.device), forgotten_count)
     };
     for event in events {
         event.apply(&mut device_learning.learning);
@@ -66,6 +67,7 @@ pub(super) fn settle(
             changed_lookup: new_lookup.is_some(),
             iterations: summary.iterations,
         },
+        forgotten_count,
         new_lookup,
         no_lookup,
         state,

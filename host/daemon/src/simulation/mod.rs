@@ -24,6 +24,8 @@ mod samples;
 mod script;
 #[cfg(test)]
 mod slow_store;
+#[cfg(test)]
+mod stale_lookup;
 mod users;
 mod world;
 

@@ -51,12 +51,11 @@ fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
         tokio::spawn(async move {
             for version in 1.. {
                 let lookup = RlLookup { version, ..prior() };
-                let push = Box::new(LookupToPush::without_certainty(lookup));
-                if requests
-                    .send(DeviceRequest::PushLookup(push))
-                    .await
-                    .is_err()
-                {
+                let push = DeviceRequest::PushLookup {
+                    lookup: Box::new(LookupToPush::without_certainty(lookup)),
+                    forgotten_count: 0,
+                };
+                if requests.send(push).await.is_err() {
                     return;
                 }
             }
