@@ -37,7 +37,8 @@ pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String)
     }
 }
 
-fn pot_text(pot: Pot) -> &'static str {
+/// Describes what is wrong with the pot of a hob that waits for one.
+pub fn pot_text(pot: Pot) -> &'static str {
     match pot {
         Pot::Unsuitable => "what stands on the coil cannot be heated by induction",
         Pot::Small => "what stands on the coil is too small",

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use ihd_shared::wire::messages::Telemetry;
+use ihd_shared::wire::messages::{State, Telemetry};
 use tokio::time::Instant;
 
 /// Time of the mean: one period of the bursts, in which most half-cycles of a low level have no power.
@@ -19,8 +19,11 @@ pub struct RecentPower {
 }
 
 impl RecentPower {
-    /// Adds a half-cycle received at `now`.
+    /// Adds a half-cycle received at `now`. One that does not heat ends the heating before it.
     pub fn push(&mut self, t: &Telemetry, now: Instant) {
+        if !matches!(t.state, State::Heating | State::Probing) {
+            self.half_cycles.clear();
+        }
         let is_old = |(at, _): &(Instant, u32)| now.saturating_duration_since(*at) >= MEAN_OF;
         while self.half_cycles.len() == CAPACITY || self.half_cycles.front().is_some_and(is_old) {
             self.half_cycles.pop_front();
@@ -43,7 +46,6 @@ impl RecentPower {
 #[cfg(test)]
 mod tests {
     use ihd_fakes::telemetry;
-    use ihd_shared::wire::messages::State;
 
     use super::*;
 
@@ -59,6 +61,18 @@ mod tests {
                 assert!((power.mean_w() - 105.0).abs() < 1e-9, "{}", power.mean_w());
             }
         }
+    }
+
+    /// The next heating begins at 0 W.
+    #[test]
+    fn power_ends_with_the_heating() {
+        let (mut power, began) = (RecentPower::default(), Instant::now());
+        let mut t = telemetry(State::Heating);
+        t.power_mw = 1_500_000;
+        power.push(&t, began);
+        (t.state, t.power_mw) = (State::Idle, 0);
+        power.push(&t, began + Duration::from_millis(10));
+        assert_eq!(power.mean_w(), 0.0);
     }
 
     #[test]

@@ -8,10 +8,11 @@ use std::time::Duration;
 use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 use ihd_api::ApiServer;
-use ihd_daemon::Daemon;
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::fleet::FleetConfig;
+use ihd_daemon::{Daemon, DaemonError};
 use ihd_link::DeviceSpec;
+use ihd_store::StoreError;
 use tokio::runtime;
 use tokio::sync::watch;
 use tokio::time::timeout;
@@ -192,11 +193,15 @@ async fn serve(
     );
     let binding = of_server.spawn(async move { ApiServer::bind(&settings).await });
     let server = binding.await.context("the server's threads")??;
-    let daemon = Daemon::start(config, open).await.with_context(|| {
-        format!(
+    let started = Daemon::start(config, open).await;
+    let daemon = started.map_err(|error| match &error {
+        DaemonError::Store(StoreError::InUse { .. }) | DaemonError::Config(_) => {
+            anyhow::Error::from(error)
+        }
+        _ => anyhow::Error::from(error).context(format!(
             "the store {}: set `store` to a folder that may be written, or mend it",
             store.display()
-        )
+        )),
     })?;
     let url = server.url();
     let page = format!("{}/", configured::reached(&url, server.address()));

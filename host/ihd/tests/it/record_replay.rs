@@ -227,6 +227,17 @@ fn a_trigger_that_did_not_come_is_1_and_said() {
 }
 
 #[test]
+fn a_recording_without_a_pot_did_not_heat() {
+    let dir = tempfile::tempdir().unwrap();
+    let args = "record --pot none --power 1500 --duration 1 --out n.mcap";
+    let output = run(args, dir.path());
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(4), "{stderr}");
+    assert!(stderr.contains("put a pot on"), "{stderr}");
+    assert!(dir.path().join("n.mcap").exists());
+}
+
+#[test]
 fn limits_are_checked_and_a_size_ends_a_recording() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("there.mcap"), "").unwrap();

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
 use ihd_daemon::live::recent_power::RecentPower;
-use ihd_daemon::states::live_of_status;
+use ihd_daemon::states::{live_of_status, pot_text};
 use ihd_link::{Client, DeviceEvent};
 use ihd_model::{
     Command, CommandReply, DeviceReport, DeviceState, Identity, LookupReport, WindowCounts,
@@ -82,9 +82,10 @@ impl Direct {
             updates_needed: updates_needed(hello.protocol_minor),
             state: state(&status),
             since_s: 0,
-            detail: match status.off_reason.text() {
-                "" => "without a daemon".into(),
-                why => why.into(),
+            detail: match (status.state, status.off_reason.text()) {
+                (State::WaitingForPot, _) => pot_text(status.pot).into(),
+                (_, "") => "without a daemon".into(),
+                (_, why) => why.into(),
             },
             identity: Some(Identity {
                 build: printable(&hello.build).to_string(),

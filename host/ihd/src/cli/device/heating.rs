@@ -36,8 +36,10 @@ const STEP: Duration = Duration::from_secs(5);
 #[derive(Debug, Error)]
 #[error("{name} did not heat as asked: {why}")]
 pub struct DoesNotHeat {
-    name: String,
-    why: String,
+    /// Name of the device.
+    pub name: String,
+    /// Reason, as the device gives it.
+    pub why: String,
 }
 
 /// Text for heating that was ended elsewhere.
@@ -170,9 +172,10 @@ fn run(
             summary.energy_wh
         )?;
     }
-    ended?;
-    off?;
-    did_it_heat(&summary)
+    match (ended, off) {
+        (Err(ended), Err(off)) => Err(ended.context(off.to_string())),
+        (ended, off) => ended.and(off).and_then(|()| did_it_heat(&summary)),
+    }
 }
 
 /// Sends a command; returns the power that the hob took, and says so where it is less than was asked for.
@@ -318,7 +321,7 @@ fn did_it_heat(summary: &HeatingSummary) -> Result<()> {
     }
     let why = summary.last.as_ref().map_or(String::new(), |report| {
         let live = report.live.as_ref().map_or(String::new(), of_live);
-        format!("{} ({live})", report.detail)
+        one_line(&format!("{} ({live})", report.detail))
     });
     let why = if early {
         format!("{ELSEWHERE}: {why}")

@@ -18,6 +18,7 @@ use super::direct::Direct;
 use crate::cli::configured;
 #[cfg(feature = "log")]
 use crate::cli::opener::opener;
+use crate::cli::output;
 use crate::cli::usage::Usage;
 
 /// Connected device.
@@ -32,6 +33,20 @@ impl Hob {
     /// Connects to the device with a name of the configuration, or an address.
     pub(in crate::cli) fn find(config: DaemonConfig, device: &str) -> Result<Self> {
         let daemon = configured::daemon(&config)?;
+        Self::find_behind(daemon, config, device)
+    }
+
+    /// Connects to the device that is to be switched off: directly, where the daemon does not answer.
+    pub(super) fn find_to_switch_off(config: DaemonConfig, device: &str) -> Result<Self> {
+        let daemon = configured::daemon(&config).unwrap_or_else(|error| {
+            let why = crate::cli::message(&error);
+            output::complain(format_args!("ihd: {why}; going without the daemon"));
+            None
+        });
+        Self::find_behind(daemon, config, device)
+    }
+
+    fn find_behind(daemon: Option<ApiClient>, config: DaemonConfig, device: &str) -> Result<Self> {
         if let Some(client) = daemon {
             let devices = client.devices()?;
             let known = devices

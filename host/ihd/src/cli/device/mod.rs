@@ -122,7 +122,10 @@ impl DeviceArgs {
         };
         // All that can be wrong here, before the lease is taken from anybody.
         let command = self.action.single_command()?;
-        let mut hob = Hob::find(config, name)?;
+        let mut hob = match &self.action {
+            Action::Off => Hob::find_to_switch_off(config, name)?,
+            _ => Hob::find(config, name)?,
+        };
         let forces = self.action.forces();
         if forces {
             hob.take_lease(true)?;

@@ -11,12 +11,14 @@ use ihd_capture::recording::{
     RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
     RecordingStatus, Trigger,
 };
+use ihd_daemon::states::pot_text;
 use ihd_link::{Client, DeviceEvent, KEEPALIVE_PERIOD};
-use ihd_shared::wire::messages::{Status, Utilisation};
+use ihd_shared::wire::messages::{State, Status, Utilisation};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use super::NothingRecorded;
+use crate::cli::device::DoesNotHeat;
 use crate::cli::{interrupt, output};
 use crate::report::utilisation;
 
@@ -58,6 +60,9 @@ struct Report {
     ended_by: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
+    /// Reason for which the requested power was never delivered; `None` without one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    does_not_heat: Option<String>,
     seconds: f64,
     bytes: u64,
     faults: u32,
@@ -69,6 +74,15 @@ struct Report {
     processor: serde_json::Value,
     #[serde(skip)]
     processor_line: String,
+}
+
+/// Returns the reason for which a device does not heat; `None` if it does.
+fn why_not_heating(status: &Status) -> Option<String> {
+    match status.state {
+        State::Heating => None,
+        State::WaitingForPot => Some(pot_text(status.pot).to_owned()),
+        state => Some(format!("{} {}", state.name(), status.off_reason.text())),
+    }
 }
 
 impl DirectRecording {
@@ -119,9 +133,13 @@ impl DirectRecording {
         // The report is printed in any case.
         let printed = self.print(&report);
         done.and(printed)?;
-        match report.file {
-            Some(_) => Ok(()),
-            None => Err(NothingRecorded.into()),
+        match (report.file, report.does_not_heat) {
+            (None, _) => Err(NothingRecorded.into()),
+            (Some(_), None) => Ok(()),
+            (Some(_), Some(why)) => {
+                let name = report.device;
+                Err(DoesNotHeat { name, why }.into())
+            }
         }
     }
 
@@ -148,6 +166,7 @@ impl DirectRecording {
             bits: front_end.bits,
             ended_by: "error",
             error: None,
+            does_not_heat: None,
             seconds: 0.0,
             bytes: 0,
             faults: 0,
@@ -179,6 +198,7 @@ impl DirectRecording {
         client.utilisation()?;
         session.count_from(client.clock());
         let mut heard = client.clock();
+        let mut has_heated = false;
         report.ended_by = loop {
             let progress = session.progress(client.clock());
             // A recording that a full disk ended has no progress any more.
@@ -192,8 +212,10 @@ impl DirectRecording {
                 None => {}
             }
             self.show_statuses(statuses, session.active().is_none())?;
-            if let Some(DeviceEvent::Fault(_)) = client.next_event(POLL_PERIOD)? {
-                report.faults += 1;
+            match client.next_event(POLL_PERIOD)? {
+                Some(DeviceEvent::Fault(_)) => report.faults += 1,
+                Some(DeviceEvent::Telemetry(t)) => has_heated |= t.state == State::Heating,
+                _ => {}
             }
             if client.clock().saturating_sub(heard) >= KEEPALIVE_PERIOD {
                 heard = client.clock();
@@ -206,6 +228,9 @@ impl DirectRecording {
                 client,
             );
         };
+        if self.power.is_some() && !has_heated && report.ended_by != "interrupt" {
+            report.does_not_heat = why_not_heating(&client.status()?);
+        }
         Ok(())
     }
 

@@ -37,7 +37,7 @@ const WINDOWS_EVERY: u8 = 20;
     ihd record --device bench --trigger 'level:power>1000' --pre-trigger 5 --duration 30\n  \
     ihd record --device sim --power 1500 --duration 5s --out hob.mcap\n  \
     ihd record --device tcp:127.0.0.1:4711 --max-size 100M --out long.mcap --json\n\n\
-    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed or the trigger did not come, 2 wrong usage, 3 device or link")]
+    Exit codes: 0 recorded (a limit or ^C ended it), 1 failed or the trigger did not come, 2 wrong usage, 3 device or link, 4 recorded, but it did not heat with --power")]
 pub struct RecordArgs {
     /// The device: a name of the configuration, sim, tcp:HOST:PORT, usb, usb:SERIAL or serial:PATH
     #[arg(long, value_name = "DEVICE", default_value = "sim")]

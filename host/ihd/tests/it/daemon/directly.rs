@@ -122,7 +122,10 @@ fn a_device_that_does_not_heat_exits_with_4() {
     let bench = bench();
     let (code, _, stderr) = device(&bench.config, &[&place, "power", "1000", "--for", "3"]);
     assert_eq!(code, 4, "{stderr}");
-    assert!(stderr.contains("did not heat as asked"), "{stderr}");
+    assert!(
+        stderr.contains("did not heat as asked: put a pot on"),
+        "{stderr}"
+    );
 }
 
 #[test]
