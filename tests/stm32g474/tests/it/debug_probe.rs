@@ -135,6 +135,25 @@ fn a_halt_while_it_heats_opens_the_bridge_at_once_and_is_a_fault() {
     assert_no_violations(&bench);
 }
 
+/// A halt that is too short for the sampling watchdog leaves the outputs in FAULT state without a flag.
+#[test]
+fn a_short_halt_while_it_heats_is_a_fault_that_restarts() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    client.set_power(1_200).unwrap();
+    bench.run_s(0.2);
+    bench.with(|machine| {
+        machine.halt().unwrap();
+        machine.run_for(us(100)).unwrap();
+        machine.go_on().unwrap();
+        machine.run_for(us(500)).unwrap();
+    });
+    assert_eq!(client.status().unwrap().fault, Fault::SAMPLES_LOST);
+    bench.run_s(0.5);
+    assert_eq!(client.status().unwrap().state, State::Heating);
+    assert_no_violations(&bench);
+}
+
 #[test]
 fn a_probe_that_is_pulled_in_the_middle_leaves_what_a_second_run_mends() {
     let (bench, image) = (blank(), image());

@@ -110,12 +110,15 @@ pub fn clear() {
 }
 
 /// Fault that has opened the bridge in hardware while a switch should be closed (HRTIM, HRTIM_ISR: FLT1, FLT2, FLT4, SYSFLT). The first
-/// switch that closes clears the flags of an earlier fault. A fault counts, once, even if the path has opened the bridge since, as at
-/// the end of a pot probe; what trips with both switches open does not. The thread has the path only with interrupts masked, so no block
-/// closes a switch between the readings of drive and flags.
+/// switch that closes clears the flags of an earlier fault. Outputs in FAULT state without a flag are what a halt by a debugger leaves
+/// that is too short for the sampling watchdog: a current that stays at the trip level is seen in the samples. A fault counts, once,
+/// even if the path has opened the bridge since, as at the end of a pot probe; what trips with both switches open does not. The thread
+/// has the path only with interrupts masked, so no block closes a switch between the readings of drive and flags.
 pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault> {
     let mut isr = HrtimIsr(KEPT_FLAGS.swap(0, Ordering::Relaxed));
     let is_driven = path.drive().bridge != Bridge::Open;
+    // Before the flags: what trips in between has one.
+    let is_lost = is_driven && are_outputs_off();
     if is_driven {
         isr.0 |= pac::HRTIM1.isr().read().0;
     }
@@ -125,11 +128,21 @@ pub fn hardware_fault<M: PairArithmetic>(path: &SamplingPath<M>) -> Option<Fault
         Some(system_fault().unwrap_or(Fault::CORE_LOCKUP))
     } else if COMPARATORS.iter().any(|&input| isr.flt(input)) {
         Some(Fault::HARDWARE_OVER_CURRENT)
-    } else if isr.flt(SAMPLING_WATCHDOG) {
+    } else if isr.flt(SAMPLING_WATCHDOG) || is_lost {
         Some(Fault::SAMPLES_LOST)
     } else {
         None
     }
+}
+
+/// HRTIM, HRTIM_OENR: both outputs are in their idle or FAULT state, as they are before HRTIM has its clock (RCC, RCC_APB2ENR).
+pub fn are_outputs_off() -> bool {
+    let has_clock = pac::RCC.apb2enr().read().hrtim1en();
+    let are_on = || {
+        let enabled = pac::HRTIM1.oenr().read();
+        enabled.t1oen(BRIDGE) || enabled.t2oen(BRIDGE)
+    };
+    !(has_clock && are_on())
 }
 
 /// HRTIM_ISR as the path last opened the bridge, until [`hardware_fault`] has read it.
