@@ -39,14 +39,14 @@ fn set_ends(ends: u32) {
     }
 }
 
-/// Counts a start after the watchdog; stays there if it is one too many in a row. Power-on and the reset
-/// pin begin anew.
+/// Counts a start after the watchdog; stays there if it is one too many in a row. The reset pin begins anew, and so does power-on, whose
+/// RAM holds no count; a supply that sagged does not.
 pub fn count_start(flags: ResetFlags) {
     if flags.watchdog {
         if count_end() > MAX_ENDS {
             stay(stored_record().fault);
         }
-    } else if flags.brown_out || (flags.pin && !flags.software) {
+    } else if flags.pin && !flags.software && !flags.brown_out {
         set_ends(0);
     }
 }

@@ -361,17 +361,22 @@ fn a_stack_that_overflows_ends_before_another_handler_runs() {
     assert_eq!(after_reset(&bench).0, 6);
 }
 
+/// Ends the program by a panic, some time after its start.
+fn panic_soon(bench: &Bench) {
+    bench.run_s(0.05);
+    bench.with(|machine| {
+        reach_thread(machine);
+        let panic = machine.image().symbol_like("panicking9panic_fmt");
+        machine.set_pc(panic.expect("a panic in the image"));
+    });
+}
+
 /// After five ends in a row the program stays stopped, and so does the interrupt that could close a switch.
 #[test]
 fn a_program_that_ends_again_and_again_stays_with_its_interrupts_masked() {
     let bench = with_pot(PotKind::Ferromagnetic);
     for _ in 0..5 {
-        bench.run_s(0.05);
-        bench.with(|machine| {
-            reach_thread(machine);
-            let panic = machine.image().symbol_like("panicking9panic_fmt");
-            machine.set_pc(panic.expect("a panic in the image"));
-        });
+        panic_soon(&bench);
     }
     bench.run_s(0.2);
     assert_eq!(resets(&bench), [Reset::Software; 4]);
@@ -382,6 +387,21 @@ fn a_program_that_ends_again_and_again_stays_with_its_interrupts_masked() {
     }
     let bridge = bench.with(|machine| machine.chip().pins.bridge());
     assert_eq!(bridge, Bridge::Open);
+}
+
+/// A supply that sags, with its RAM intact, does not end the count of ends.
+#[test]
+fn a_program_that_ends_again_and_again_stays_although_the_supply_sags() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    for _ in 0..4 {
+        panic_soon(&bench);
+    }
+    bench.run_s(0.05);
+    bench.with(|machine| machine.chip().reset = Some(Reset::Power));
+    panic_soon(&bench);
+    bench.run_s(0.2);
+    let before = [Reset::Software; 4];
+    assert_eq!(resets(&bench), [&before[..], &[Reset::Power]].concat());
 }
 
 #[test]
