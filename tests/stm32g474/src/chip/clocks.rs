@@ -22,6 +22,11 @@ fn pll_hz(file: &RegisterFile) -> u64 {
     vco_in * u64::from(file.get(PLLN)) / (2 * (u64::from(file.get(PLLR)) + 1))
 }
 
+/// Returns `true` if the PLL is on and its output R, too.
+fn is_pll_out(file: &RegisterFile) -> bool {
+    file.is(rcc::rcc_cr::PLLON) && file.is(rcc::rcc_pllcfgr::PLLREN)
+}
+
 fn divided(hz: u64, hpre: u32) -> u64 {
     match hpre {
         0..8 => hz,
@@ -57,8 +62,11 @@ pub fn boosted(file: &RegisterFile) -> bool {
 }
 
 fn check_speed(file: &RegisterFile, log: &mut Log) {
-    // The voltage range also limits SYSCLK, before the AHB's prescaler.
-    let hz = sysclk_hz(file);
+    // The voltage range also limits SYSCLK, before the AHB's prescaler, and the PLL's output before it is SYSCLK.
+    let hz = match is_pll_out(file) {
+        true => pll_hz(file).max(sysclk_hz(file)),
+        false => sysclk_hz(file),
+    };
     let limit = match (file.get(pwr::pwr_cr1::VOS), boosted(file)) {
         (1, true) => 170_000_000,
         (1, false) => 150_000_000,
@@ -66,7 +74,7 @@ fn check_speed(file: &RegisterFile, log: &mut Log) {
     };
     if hz > limit {
         log.broken(format!(
-            "SYSCLK {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"
+            "SYSCLK or PLL's output R {hz} Hz in a voltage range for {limit} Hz: PWR_CR5.R1MODE (RM0440 6.1.5)"
         ));
     }
     let hz = hclk_hz(file);
@@ -130,11 +138,16 @@ pub fn after_rcc_write(
     match address {
         rcc_cfgr::ADDRESS => switch(before, file, log),
         rcc::rcc_pllcfgr::ADDRESS => {
-            if file.is(rcc_cr::PLLON) {
+            use rcc::rcc_pllcfgr::{PLLPEN, PLLQEN, PLLREN};
+            // The outputs are enabled at any time.
+            let outputs = PLLPEN.mask() | PLLQEN.mask() | PLLREN.mask();
+            if file.is(rcc_cr::PLLON) && (file.word(address) ^ before) & !outputs != 0 {
                 log.broken("PLLCFGR written while the PLL is on (RM0440 7.4.4)");
             }
+            check_speed(file, log);
         }
-        rcc_cr::ADDRESS | rcc_crrcr::ADDRESS | rcc_bdcr::ADDRESS => {}
+        rcc_cr::ADDRESS => check_speed(file, log),
+        rcc_crrcr::ADDRESS | rcc_bdcr::ADDRESS => {}
         rcc_csr::ADDRESS => {
             if file.is(rcc_csr::RMVF) {
                 let flags = 0xFE00_0000;
@@ -174,8 +187,8 @@ fn switch(before: u32, file: &mut RegisterFile, log: &mut Log) {
         },
         HPRE.extract(before),
     );
-    if wanted == 3 && !file.is(rcc::rcc_cr::PLLRDY) {
-        log.broken("switch to a PLL that is not ready (RM0440 7.2.8)");
+    if wanted == 3 && !(file.is(rcc::rcc_cr::PLLRDY) && is_pll_out(file)) {
+        log.broken("switch to a PLL that is not ready, or whose output R is off (RM0440 7.2.8)");
         return;
     }
     file.set(SWS, wanted);
@@ -202,27 +215,33 @@ pub fn after_wait_states_write(file: &RegisterFile, log: &mut Log) {
 mod tests {
     use super::*;
 
-    /// Violations in the sequence of RM0440 6.1.5 for 170 MHz, with or without boost mode and the division of HCLK; `wait` is the
-    /// time after each write.
-    fn started(boost: bool, divide: bool, wait: Ticks) -> Vec<String> {
+    /// Violations in the sequence of RM0440 6.1.5 for 170 MHz, with or without the division of HCLK; boost mode begins before the
+    /// write of that number, and `wait` is the time after each write.
+    fn started(boost_at: usize, divide: bool, wait: Ticks) -> Vec<String> {
         use rcc::{rcc_cfgr, rcc_cr, rcc_pllcfgr};
         let (mut file, mut log) = (RegisterFile::default(), Log::default());
         let mut oscillators = Oscillators::default();
-        let mut write = |field: Field, value: u32| {
+        file.set(pwr::pwr_cr5::R1MODE, 1);
+        file.set(flash::flash_acr::LATENCY, 4);
+        let writes = [
+            (rcc_pllcfgr::PLLM, 3),
+            (rcc_pllcfgr::PLLN, 85),
+            (rcc_cr::PLLON, 1),
+            (rcc_cfgr::HPRE, if divide { 8 } else { 0 }),
+            (rcc_pllcfgr::PLLREN, 1),
+            (rcc_cfgr::SW, 3),
+            (rcc_cfgr::HPRE, 0),
+        ];
+        for (number, (field, value)) in writes.into_iter().enumerate() {
+            if number == boost_at {
+                file.set(pwr::pwr_cr5::R1MODE, 0);
+            }
             let before = file.word(field.address);
             file.set(field, value);
             after_rcc_write(field.address, before, &mut oscillators, &mut file, &mut log);
             log.now += wait;
             oscillators.settle(&mut file, log.now);
-        };
-        write(rcc_pllcfgr::PLLM, 3);
-        write(rcc_pllcfgr::PLLN, 85);
-        write(rcc_cr::PLLON, 1);
-        write(pwr::pwr_cr5::R1MODE, u32::from(!boost));
-        write(flash::flash_acr::LATENCY, 4);
-        write(rcc_cfgr::HPRE, if divide { 8 } else { 0 });
-        write(rcc_cfgr::SW, 3);
-        write(rcc_cfgr::HPRE, 0);
+        }
         assert_eq!(hclk_hz(&file) == 170_000_000, wait >= us(40));
         log.violations
             .into_iter()
@@ -232,9 +251,11 @@ mod tests {
 
     #[test]
     fn the_manuals_order_is_taken_and_each_omission_is_found() {
-        assert_eq!(started(true, true, us(40)), Vec::<String>::new());
-        assert!(started(false, true, us(40))[0].contains("R1MODE"));
-        assert!(started(true, false, us(40))[0].contains("HPRE"));
-        assert!(started(true, true, us(5))[0].contains("not ready"));
+        assert_eq!(started(4, true, us(40)), Vec::<String>::new());
+        // The output R before boost mode, and no boost mode at all.
+        assert!(started(5, true, us(40))[0].contains("R1MODE"));
+        assert!(started(9, true, us(40))[0].contains("R1MODE"));
+        assert!(started(4, false, us(40))[0].contains("HPRE"));
+        assert!(started(4, true, us(5))[0].contains("not ready"));
     }
 }

@@ -20,14 +20,17 @@ pub const CORE_MHZ: u32 = 170;
 const R1MODE: u32 = 1 << 8;
 
 /// Range 1 boost mode is for above 150 MHz. RM0440, PWR, "Dynamic voltage scaling management", from
-/// normal to boost mode: AHB by 2, R1MODE to 0, wait states, switch, 1 µs, AHB by 1. The same order
-/// in ST's `HAL_PWREx_ControlVoltageScaling`, then `HAL_RCC_ClockConfig`.
+/// normal to boost mode: AHB by 2, R1MODE to 0, wait states, switch, 1 µs, AHB by 1; the PLL's output R, too fast for normal mode,
+/// is enabled in boost mode only, beside a running PLL (RCC, "PLL"). The same order in ST's `HAL_PWREx_ControlVoltageScaling`, then
+/// `HAL_RCC_ClockConfig`.
 pub fn start() -> Peripherals {
     let peripherals = embassy_stm32::init(pll_beside());
     let rcc = pac::RCC;
     rcc.cfgr().modify(|w| w.set_hpre(Hpre::DIV2));
     pac::PWR.cr5().modify(|w| w.0 &= !R1MODE);
     set_wait_states();
+    // PLLR is 0: by 2.
+    rcc.pllcfgr().modify(|w| w.set_pllren(true));
     rcc.cfgr().modify(|w| w.set_sw(Sw::PLL1_R));
     while rcc.cfgr().read().sws() != Sw::PLL1_R {}
     // At least 1 µs; a cycle is 12 ns until the AHB is undivided.
@@ -39,7 +42,7 @@ pub fn start() -> Peripherals {
     peripherals
 }
 
-/// HSI16 with the PLL running at 16 MHz / 4 · 85 / 2 beside it. USB runs from HSI48, trimmed by the start
+/// HSI16 with the PLL running at 16 MHz / 4 · 85 beside it, its outputs off. USB runs from HSI48, trimmed by the start
 /// of each USB frame.
 fn pll_beside() -> Config {
     let mut config = Config::default();
@@ -50,7 +53,7 @@ fn pll_beside() -> Config {
         mul: rcc::PllMul::MUL85,
         divp: None,
         divq: None,
-        divr: Some(rcc::PllRDiv::DIV2),
+        divr: None,
     });
     config.rcc.sys = rcc::Sysclk::HSI;
     // Errata, "Unstable LSI when it clocks RTC": after a brown-out it may run at three halves of its frequency.
