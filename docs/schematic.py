@@ -663,6 +663,10 @@ def controller(s):
     at = y + 262
     s.flag(x - 79, at, "NTCs", "right", "pin", 54), s.wire((x - 16, at), (x, at))
     s.text(x + 6, at + 5, "ADC4", "n")
+    # nSWBOOT0 = 1 leaves the choice to the pin, and the bootloader drives HIN and LIN.
+    at = y + 302
+    s.resistor(x - 64, at, 64, "h"), s.wire((x - 64, at), (x - 72, at), (x - 72, at + 6)), s.ground(x - 72, at + 6)
+    s.text(x - 32, at - 11, "10 kΩ", "t", "middle"), s.text(x + 6, at + 5, "PB8, BOOT0", "n")
     s.text(x + 6, y + h - 10, "VSS, VSSA", "n")
     s.wire((x + 34, y + h), (x + 34, y + h + 8)), s.ground(x + 34, y + h + 8)
     led = BOARD["pins"]["led"]
