@@ -86,19 +86,17 @@ fn offset(page: usize) -> u32 {
 impl nonvolatile::Flash for BankPages {
     type Error = Error;
 
+    /// A record without a sequence, which is no lookup, if the page is damaged or a switch is closed: a damaged word opens the bridge
+    /// (SYSCFG_CFGR2, ECCL), and HRTIM's flag would be taken for another fault's. Interrupts, which close switches, are masked for 5 µs.
     fn read(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]) {
-        DAMAGED.store(false, Ordering::Relaxed);
-        READING.store(true, Ordering::SeqCst);
-        compiler_fence(Ordering::SeqCst);
-        let read = self.flash().map(|f| f.blocking_read(offset(page), out));
-        compiler_fence(Ordering::SeqCst);
-        // The NMI of the last word comes before the next instruction.
-        cortex_m::asm::dsb();
-        cortex_m::asm::isb();
-        READING.store(false, Ordering::SeqCst);
-        if !matches!(read, Ok(Ok(()))) || DAMAGED.load(Ordering::SeqCst) {
-            // An erased page, which is no lookup.
-            out.fill(0xFF);
+        let is_read = critical_section::with(|_| {
+            registers::faults::are_outputs_off() && self.read_masked(page, out)
+        });
+        if !is_read {
+            out[..nonvolatile::WORD].fill(0xFF);
+        }
+        if DAMAGED.swap(false, Ordering::SeqCst) {
+            defmt::warn!("lookup page {=usize} is damaged", page);
         }
     }
 
@@ -114,6 +112,20 @@ impl nonvolatile::Flash for BankPages {
 }
 
 impl BankPages {
+    /// Reads a page with both switches open; returns `false` if it is damaged.
+    fn read_masked(&mut self, page: usize, out: &mut [u8; RECORD_BYTES]) -> bool {
+        registers::supply::forget_corrected_bits();
+        READING.store(true, Ordering::SeqCst);
+        compiler_fence(Ordering::SeqCst);
+        let read = self.flash().map(|f| f.blocking_read(offset(page), out));
+        compiler_fence(Ordering::SeqCst);
+        // The NMI of the last word comes before the next instruction.
+        cortex_m::asm::dsb();
+        cortex_m::asm::isb();
+        READING.store(false, Ordering::SeqCst);
+        matches!(read, Ok(Ok(()))) && !DAMAGED.load(Ordering::SeqCst)
+    }
+
     fn flash(&mut self) -> Result<&mut Flash<'static, Async>, Error> {
         self.0.as_mut().ok_or(Error::Protected)
     }

@@ -213,11 +213,13 @@ impl Chip {
     }
 
     /// Reads from the pages that the program may write. A double error pends NMI and returns `None` (RM0440, 3.3.2); the load
-    /// succeeds when it is repeated after the handler.
+    /// succeeds, without another error, when it is repeated after the handler.
     pub fn read_page(&mut self, offset: u32, bytes: usize) -> Option<u32> {
+        if self.reported_page_word.take() == Some(offset) {
+            return Some(self.flash.peek(offset, bytes));
+        }
         let (word, damaged) = self.flash.read_page(offset, bytes, &mut self.file);
-        let reported = std::mem::take(&mut self.reported_page_word);
-        if damaged && reported != Some(offset) {
+        if damaged {
             self.reported_page_word = Some(offset);
             self.nvic.pend(NMI);
             self.system_fault(reg::syscfg::cfgr2::ECCL);

@@ -23,6 +23,12 @@ const BANK_2: u32 = 0x0804_0000;
 const PROGRAM: Ticks = us(82);
 const ERASE: Ticks = us(22_020);
 
+/// Flags of FLASH_ECCR, cleared by writing 1.
+const ECC_FLAGS: u32 = {
+    use flash::flash_eccr::{ECCC, ECCC2, ECCD, ECCD2};
+    ECCC.mask() | ECCC2.mask() | ECCD.mask() | ECCD2.mask()
+};
+
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
 /// Operation of the controller.
@@ -49,6 +55,8 @@ pub struct Pages {
     bytes: Vec<u8>,
     /// Double words with two wrong bits.
     damaged: BTreeSet<u32>,
+    /// Double words with one wrong bit, which a read corrects.
+    corrected: BTreeSet<u32>,
     /// Double words programmed since the last erasure.
     programmed: BTreeSet<u32>,
 }
@@ -58,6 +66,7 @@ impl Default for Pages {
         Self {
             bytes: vec![0xFF; PAGES_BYTES],
             damaged: BTreeSet::new(),
+            corrected: BTreeSet::new(),
             programmed: BTreeSet::new(),
         }
     }
@@ -144,6 +153,7 @@ impl FlashController {
                 for word in words {
                     self.pages.programmed.remove(&word);
                     self.pages.damaged.remove(&word);
+                    self.pages.corrected.remove(&word);
                 }
             }
             Operation::ProgramElsewhere => {}
@@ -169,6 +179,8 @@ impl FlashController {
                     // Neither erased nor as before.
                     if word % 24 == 0 {
                         self.pages.damage(word);
+                    } else if word % 40 == 8 {
+                        self.pages.corrected.insert(word);
                     } else if word % 16 == 0 {
                         self.pages.bytes[word as usize..][..8].fill(0xFF);
                     }
@@ -191,27 +203,26 @@ impl FlashController {
         }
     }
 
-    /// Reads from the pages for a debugger, without effects on the controller.
+    /// Reads from the pages without effects on the controller: by a debugger, or from its buffer.
     pub fn peek(&self, offset: u32, bytes: usize) -> u32 {
         let mut word = [0; 4];
         word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
         u32::from_le_bytes(word)
     }
 
-    /// Reads from the pages. The second value is `true` if the double word has two wrong bits, which FLASH_ECCR then reports.
+    /// Reads from the pages. The second value is `true` if the double word has two wrong bits. FLASH_ECCR reports the first wrong word
+    /// until its flags are cleared (RM0440, 3.3.2).
     pub fn read_page(&mut self, offset: u32, bytes: usize, file: &mut RegisterFile) -> (u32, bool) {
+        use flash::flash_eccr::{ADDR_ECC, ADDRESS, BK_ECC, ECCC, ECCD};
         let mut word = [0; 4];
         word[..bytes].copy_from_slice(&self.pages.bytes[offset as usize..][..bytes]);
-        let damaged = self.pages.damaged.contains(&(offset & !7));
-        if damaged {
-            let address = PAGES + (offset & !7);
-            let eccr = file.word(flash::flash_eccr::ADDRESS);
-            let eccr = flash::flash_eccr::ADDR_ECC.put(eccr, address - BANK_2);
-            let eccr = flash::flash_eccr::BK_ECC.put(eccr, 1);
-            file.set_word(
-                flash::flash_eccr::ADDRESS,
-                flash::flash_eccr::ECCD.put(eccr, 1),
-            );
+        let double_word = offset & !7;
+        let damaged = self.pages.damaged.contains(&double_word);
+        let flag = if damaged { ECCD } else { ECCC };
+        let eccr = file.word(ADDRESS);
+        if (damaged || self.pages.corrected.contains(&double_word)) && eccr & ECC_FLAGS == 0 {
+            let eccr = ADDR_ECC.put(eccr, PAGES + double_word - BANK_2);
+            file.set_word(ADDRESS, flag.put(BK_ECC.put(eccr, 1), 1));
         }
         (u32::from_le_bytes(word), damaged)
     }
@@ -334,12 +345,8 @@ impl FlashController {
             // Flags are cleared by writing 1.
             flash::flash_sr::ADDRESS => before & !value,
             flash::flash_eccr::ADDRESS => {
-                let flags = flash::flash_eccr::ECCD.mask()
-                    | flash::flash_eccr::ECCC.mask()
-                    | flash::flash_eccr::ECCD2.mask()
-                    | flash::flash_eccr::ECCC2.mask();
                 let enable = flash::flash_eccr::ECCCIE.mask();
-                (before & !(value & flags) & !enable) | (value & enable)
+                (before & !(value & ECC_FLAGS) & !enable) | (value & enable)
             }
             flash::flash_cr::ADDRESS => self.control(before, value, log),
             _ => value,

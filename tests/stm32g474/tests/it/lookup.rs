@@ -3,11 +3,13 @@
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
 use ihd_stm32g474::chip::Reset;
 use ihd_stm32g474::chip::flash::Pages;
 use ihd_stm32g474::chip::hrtim::Bridge;
-use ihd_stm32g474::registers::flash::flash_optr;
+use ihd_stm32g474::registers::flash::{flash_eccr, flash_optr};
+use ihd_stm32g474::time::us;
 
 use crate::board::{Bench, assert_no_violations, connect, resets, with_pot};
 
@@ -34,6 +36,64 @@ fn a_lookup_is_back_after_the_power_was_gone() {
     assert_eq!(active(&bench), 2);
     bench.with(|machine| machine.power_cycle().unwrap());
     assert_eq!(active(&bench), 2);
+    assert_no_violations(&bench);
+}
+
+/// A lookup that is saved as heating begins, and whose page turns out to be damaged.
+#[test]
+fn a_page_that_is_damaged_as_heating_begins_is_no_fault() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    let mut client = connect(&bench);
+    bench.run_s(0.3);
+    let begun = bench.with(|machine| machine.chip().flash.operations);
+    client.push_lookup(&version(1)).unwrap();
+    while bench.with(|machine| machine.chip().flash.operations) == begun {
+        bench.run_s(1e-4);
+    }
+    client.set_power(1_200).unwrap();
+    let bridge = bench.with(move |machine| {
+        // The second operation begins once the page is erased.
+        while machine.chip().flash.operations < begun + 2 {
+            machine.run_for(us(20)).unwrap();
+        }
+        machine.chip().flash.pages.damage(64);
+        let (mut bridge, mut idle) = (Bridge::Open, 0);
+        while idle < 5 {
+            if machine.chip().flash.next().is_some() {
+                (bridge, idle) = (machine.chip().pins.bridge(), 0);
+            } else {
+                idle += 1;
+            }
+            machine.run_for(us(20)).unwrap();
+        }
+        bridge
+    });
+    assert_ne!(bridge, Bridge::Open, "it heats as the page is read back");
+    bench.run_s(0.1);
+    let status = client.status().unwrap();
+    assert_eq!((status.state, status.fault), (State::Heating, Fault::NONE));
+    // The page is no lookup to the next start.
+    bench.with(|machine| machine.power_cycle().unwrap());
+    assert_eq!(active(&bench), 0);
+    assert_eq!(resets(&bench), [Reset::Power]);
+}
+
+/// RM0440, 3.3.2: FLASH_ECCR keeps the first error, here one of the program that the read corrected, until it is cleared.
+#[test]
+fn a_damaged_page_is_empty_whatever_was_corrected_before() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    push(&bench, 1);
+    bench.with(|machine| {
+        machine.chip().flash.pages.damage(64);
+        machine.power_cycle().unwrap();
+        machine.bites_at_start.clear();
+        while machine.bites_at_start.is_empty() {
+            machine.run_for(us(10)).unwrap();
+        }
+        machine.chip().file.set(flash_eccr::ECCC, 1);
+    });
+    assert_eq!(active(&bench), 0);
+    assert_eq!(resets(&bench), [Reset::Power]);
     assert_no_violations(&bench);
 }
 

@@ -53,12 +53,23 @@ pub fn has_parity() -> bool {
     !pac::FLASH.optr().read().sram_pe()
 }
 
-/// Returns `true` if FLASH_ECCR reports two wrong bits in the second bank, and clears the flag by writing 1.
+/// Clears the flags of bits in the flash that a read corrected, by writing 1: until then FLASH_ECCR does not report another error
+/// (RM0440, 3.3.2).
+pub fn forget_corrected_bits() {
+    pac::FLASH.eccr().write(|w| w.set_eccc(true));
+}
+
+/// Returns `true` if an NMI is about wrong bits in the second bank, and clears FLASH_ECCR's flags. A word with one wrong bit that was
+/// read before the one with two is what FLASH_ECCR reports. The other cause of an NMI is the RAM's parity (SYSCFG_CFGR2, SPF).
 pub fn take_error_in_bank_2() -> bool {
     let ecc = pac::FLASH.eccr().read();
-    let in_bank_2 = ecc.eccd() && ecc.bk_ecc() && !ecc.sysf_ecc();
+    let is_wrong = ecc.eccd() || ecc.eccc() && !pac::SYSCFG.cfgr2().read().spf();
+    let in_bank_2 = is_wrong && ecc.bk_ecc() && !ecc.sysf_ecc();
     if in_bank_2 {
-        pac::FLASH.eccr().write(|w| w.set_eccd(true));
+        pac::FLASH.eccr().write(|w| {
+            w.set_eccd(true);
+            w.set_eccc(true);
+        });
     }
     in_bank_2
 }
