@@ -4,8 +4,9 @@
 //! |---|---|---|---|
 //! | [`reset`] | four words of RAM | reset | reason of the reset, active fault, number of starts, and [`control`] |
 //! | [`control`] | one byte of these | reset | lock-out, tries used, panel off, key lock |
-//! | [`nonvolatile`] | two pages of flash | loss of power | the last good lookup |
+//! | [`nonvolatile`] | two pages of flash | loss of power | the last good lookup, at most one a minute ([`save_interval`]) |
 
 pub mod control;
 pub mod nonvolatile;
 pub mod reset;
+pub mod save_interval;

@@ -15,6 +15,7 @@ use embassy_usb::UsbDevice;
 use ihd_firmware::drive::bridge::Bridge;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::retained::reset;
+use ihd_firmware::retained::save_interval::SaveInterval;
 use ihd_firmware::sampling::path::SamplingLock;
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_shared::board::{COIL_NTC_PIN, FAN_PIN, GLASS_NTC_PIN, HEAT_SINK_NTC_PIN};
@@ -61,7 +62,7 @@ struct Board {
     watchdog: IndependentWatchdog<'static, IWDG>,
     led: Led,
     heartbeat: Heartbeat,
-    kept_changes: u32,
+    saves: SaveInterval,
     self_test: SelfTest,
     temperatures: TemperatureAdc,
     fan: Output<'static>,
@@ -182,7 +183,7 @@ fn start(
         watchdog,
         led,
         heartbeat: Heartbeat::default(),
-        kept_changes: housekeeping.lookup_changes(),
+        saves: SaveInterval::new(),
         self_test,
         temperatures: TemperatureAdc::start(adc::sampled_cycles()),
         fan: low_output(FAN_PIN),
@@ -321,14 +322,14 @@ impl Board {
     fn after_block(&mut self, housekeeping: &mut Housekeeping, path: &mut ThreadSide) {
         let is_slow_stopped = registers::adc::is_slow_stopped();
         cycles::keep_running();
-        let blocks = path.with(|path| {
+        let (blocks, now_ms) = path.with(|path| {
             if let Some(fault) = registers::faults::hardware_fault(path) {
                 path.raise(fault);
             }
             if is_slow_stopped {
                 path.raise(Fault::SAMPLES_LOST);
             }
-            path.blocks()
+            (path.blocks(), path.now_ms())
         });
         let control = housekeeping.control();
         let (state, fault) = (control.state(), path.with(|path| path.fault()));
@@ -365,8 +366,7 @@ impl Board {
         }
         // By the count of changes: a version may come again after a reset.
         let changes = housekeeping.lookup_changes();
-        if changes != self.kept_changes && housekeeping.control().state() == State::Idle {
-            self.kept_changes = changes;
+        if housekeeping.control().state() == State::Idle && self.saves.begin(changes, now_ms) {
             TO_KEEP.signal(housekeeping.lookup().clone());
         }
     }
