@@ -76,12 +76,10 @@ impl<'a> PreparedCapture<'a> {
             sensors.push(gain);
         }
         sensors.extend(repaired.remarks);
-        if uncertainty.is_some() {
-            // Corrected samples have another residual.
-            interference.clear();
-        }
         let survey = calibrated.survey;
         if let Cow::Owned(corrected) = calibrated.capture {
+            // Corrected samples have another residual.
+            interference.clear();
             capture = Cow::Owned(corrected);
         }
         Ok(Self {

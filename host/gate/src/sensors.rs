@@ -91,11 +91,13 @@ pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
 /// Largest error of the gains that is corrected: beyond, a probe's factor is wrong, or the capacitance.
 const MAX_GAIN: f64 = 0.2;
 
-/// Uncertainty of an applied sensor correction.
+/// Uncertainty by the sensors: of an applied correction, and by what is not corrected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CorrectionUncertainty {
-    /// Standard deviation of the delay in seconds.
+    /// Standard deviation of an applied delay in seconds.
     lag_sigma_s: f64,
+    /// Standard deviation in seconds by a delay that was measured and not corrected.
+    uncorrected_s: f64,
     /// Standard deviation in seconds of what a resistance outside the voltage's probe added to the delay.
     loop_s: f64,
     /// Delay in seconds that such a resistance alone could explain; 0 if it cannot.
@@ -108,7 +110,7 @@ pub struct CorrectionUncertainty {
 }
 
 impl CorrectionUncertainty {
-    /// Derives the uncertainty from a self-calibration that was applied, with the gains corrected or not; `None` if nothing was.
+    /// Derives the uncertainty from a self-calibration, with the gains corrected or not; `None` without one.
     pub fn from_self_calibration(
         calibrated: &CalibratedCapture<'_>,
         gain_corrected: bool,
@@ -116,17 +118,23 @@ impl CorrectionUncertainty {
         let Some(Ok(sensors)) = &calibrated.sensors else {
             return None;
         };
-        let of_lag = calibrated.correction.map(|_| Self::of_lag(sensors));
         let c = sensors.capacitance_f;
         let of_gain = match gain_corrected {
             true => CAPACITANCE_SHARE.hypot(c.sigma / c.value),
             false => 0.0,
         };
         let of_bend = calibrated.saturation.map_or(0.0, |s| s.left);
-        let gain_share = of_gain.hypot(of_bend);
-        (of_lag.is_some() || gain_share > 0.0).then(|| Self {
+        let gain_share = of_gain.hypot(of_bend).hypot(sensors.unexplained_share());
+        let of_lag = match calibrated.correction {
+            Some(_) => Self::of_lag(sensors),
+            None => Self {
+                uncorrected_s: sensors.uncorrected_sigma_s(),
+                ..Self::default()
+            },
+        };
+        Some(Self {
             gain_share,
-            ..of_lag.unwrap_or_default()
+            ..of_lag
         })
     }
 
@@ -144,7 +152,7 @@ impl CorrectionUncertainty {
             } else {
                 lag_s * lag_s
             },
-            gain_share: 0.0,
+            ..Self::default()
         }
     }
 
@@ -162,7 +170,8 @@ impl CorrectionUncertainty {
 
     /// Deviations of R and L, those by the bridge's resistance among them.
     pub fn shared_sigma(&self, f_sw_hz: f64) -> SharedSigma {
-        self.by_lag(self.lag_sigma_s.hypot(self.loop_s), f_sw_hz)
+        let delay_s = self.lag_sigma_s.hypot(self.loop_s);
+        self.by_lag(delay_s.hypot(self.uncorrected_s), f_sw_hz)
     }
 
     /// Deviation of R in percent by a lag that is wrong by `delay_s` seconds.

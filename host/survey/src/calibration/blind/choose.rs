@@ -23,6 +23,8 @@ pub(super) struct ModelChoice {
     pub i_a: f64,
     /// Lag expressed as a skew, whatever its cause.
     pub skew_s: FittedValue,
+    /// Guard after an edge in seconds.
+    pub after_s: f64,
 }
 
 /// All models.
@@ -86,6 +88,7 @@ pub(super) fn choose_between(
         let Some(now) = judge(&plateaus, settling_s.is_some(), models) else {
             continue;
         };
+        let now = ModelChoice { after_s, ..now };
         let fits = now.is_flat();
         let better = |b: &ModelChoice| now.fit.misfit.share < 0.7 * b.fit.misfit.share;
         if fits || best.as_ref().is_none_or(better) {
@@ -105,6 +108,11 @@ pub(super) fn choose_between(
 const MAX_MISFIT_SHARE: f64 = 2e-3;
 
 impl ModelChoice {
+    /// Returns `true` if the plateaus begin later than an edge with ringing needs, so that a filter may have tails there.
+    pub fn is_late(&self) -> bool {
+        self.after_s > AFTER_S[0]
+    }
+
     /// Returns `true` if the plateaus are flat except for noise and a small misfit.
     pub fn is_flat(&self) -> bool {
         let (chi_square, kinds) = self.fit.misfit.chi_square;
@@ -165,6 +173,7 @@ fn judge(plateaus: &[Plateau], tail: bool, models: &[Model]) -> Option<ModelChoi
         samples: used().map(|p| p.samples as f64).sum::<f64>() / count as f64,
         i_a,
         skew_s,
+        after_s: 0.0,
     })
 }
 

@@ -172,6 +172,24 @@ impl SelfCalibration {
         }
     }
 
+    /// Standard deviation in seconds of a lag that is not corrected: the lag itself, droop and the rest apart, as either may be no fault of the
+    /// sensors.
+    pub fn uncorrected_sigma_s(&self) -> f64 {
+        let beside_s = self.beside_droop_s();
+        let of_rest = match self.may_be_the_bridge() {
+            true => beside_s / 3f64.sqrt(),
+            false => beside_s,
+        };
+        let of_droop = self.lag_s.value - beside_s;
+        self.lag_s.sigma.hypot(of_droop).hypot(of_rest)
+    }
+
+    /// Share of R and L that a fault may cost which no correction explains: bent sensors, plateaus that are not flat.
+    pub fn unexplained_share(&self) -> f64 {
+        let of = |fails: bool, share: f64| if fails { share } else { 0.0 };
+        of(!self.tests.flat, self.tests.misfit).hypot(of(self.is_bent(), self.tests.bend.value))
+    }
+
     /// Resistance in ohm outside the voltage's probe that would cause this lag, droop aside.
     pub fn bridge_r_ohm(&self) -> f64 {
         self.beside_droop_s() / self.capacitance_f.value

@@ -44,11 +44,14 @@ pub(super) fn settle(
         v_tau_s: 0.0,
         skew_s: 0.0,
     };
-    if settling_s.is_none()
-        && let Some(shared) = shared_filter(&edges, &plain)
-    {
-        return Ok(nothing(shared));
-    }
+    let shared = match settling_s {
+        None => shared_filter(&edges, &plain),
+        Some(_) => None,
+    };
+    let shared = match shared {
+        Some(shared) if plain.is_flat() || !remains(&shared, &plain) => return Ok(nothing(shared)),
+        other => other,
+    };
     // A skew that explains everything is preferred.
     if plain.is_flat() || skew.value.abs() < MIN_S.max(10.0 * skew.sigma) {
         return Ok(nothing(plain));
@@ -80,6 +83,9 @@ pub(super) fn settle(
     let good = |choice: &(f64, ModelChoice)| choice.1.is_flat() || share(&choice.1) < limit;
     let of_slow = slow.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
     let of_skew = skewed.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
+    if let Some(shared) = shared.filter(|s| share(s) < of_slow.min(of_skew)) {
+        return Ok(nothing(shared));
+    }
     Ok(match (slow.filter(good), skewed.filter(good)) {
         (Some((v_tau_s, chosen)), other) if of_slow < of_skew || other.is_none() => SettledChoice {
             chosen,
@@ -108,11 +114,15 @@ const MAX_REMAINING_SHARE: f64 = 0.3;
 /// Share of the skew that the filter explains which stays unsure: it need not have one pole.
 const UNSURE_SHARE: f64 = 0.05;
 
-/// Returns the model with a filter that both channels share, if that explains a skew: its tails after the edges look like one, and it
-/// changes neither R nor L.
+/// Share of the skew that remains with the filter which stays unsure: two unlike filters look so, too.
+const REMAINING_UNSURE_SHARE: f64 = 0.1;
+
+/// Returns the model with a filter that both channels share, if that explains a skew or a part of it: its tails after the edges look like
+/// one, and it changes neither R nor L. A filter that explains more of the plateaus, but not clearly, makes the skew of `plain` unsure.
 fn shared_filter(edges: &[(&Stretch<'_>, Edges)], plain: &ModelChoice) -> Option<ModelChoice> {
     let skew = plain.skew_s;
-    if skew.value.abs() < MIN_TAIL_S.max(MIN_TAIL_SIGMAS * skew.sigma) {
+    let is_long = skew.value.abs() >= MIN_TAIL_S.max(MIN_TAIL_SIGMAS * skew.sigma);
+    if !is_long && !plain.is_late() {
         return None;
     }
     // A droop bends a plateau much as a tail does.
@@ -136,11 +146,26 @@ fn shared_filter(edges: &[(&Stretch<'_>, Edges)], plain: &ModelChoice) -> Option
             }
         }
     }
+    let shared_s = skew.value - best.skew_s.value;
+    let mut unsure_s = UNSURE_SHARE * shared_s;
     let explains = best.is_flat() && (!plain.is_flat() || best.samples >= plain.samples);
-    let remains = best.skew_s.value.abs() > MAX_REMAINING_SHARE * skew.value.abs();
-    let unsure_s = UNSURE_SHARE * (skew.value - best.skew_s.value);
+    if explains && remains(&best, plain) {
+        unsure_s = unsure_s.hypot(REMAINING_UNSURE_SHARE * best.skew_s.value);
+        // Without a filter, no plateau is longer with one.
+        if best.samples <= plain.samples || share(&best) >= share(plain) {
+            return None;
+        }
+        if share(&best) > MAX_RESIDUAL_SHARE * share(plain) {
+            (best, unsure_s) = (plain.clone(), shared_s);
+        }
+    }
     best.skew_s.sigma = best.skew_s.sigma.hypot(unsure_s);
-    (explains && !remains).then_some(best)
+    explains.then_some(best)
+}
+
+/// Returns `true` if most of a skew remains with a filter that both channels share.
+fn remains(shared: &ModelChoice, plain: &ModelChoice) -> bool {
+    shared.skew_s.value.abs() > MAX_REMAINING_SHARE * plain.skew_s.value.abs()
 }
 
 fn share(chosen: &ModelChoice) -> f64 {
