@@ -115,6 +115,13 @@ const CAPTURE: &[Code] = &[
         "check --input mains=HZ",
     ),
     code(
+        "crossing_differs",
+        "warning",
+        "another mains zero crossing than was given",
+        ".2 ms from the one given",
+        "check --input zero-crossing=S",
+    ),
+    code(
         "mains_unknown",
         "warning",
         "no mains zero crossing found",

@@ -72,8 +72,10 @@ impl Interference {
             Cause::Drift => format!(
                 "they drift: the pot moves, or another hob switches within {slowest_hz:.0} Hz of this one"
             ),
-            _ => "the load steps or moves, or something that is no tone disturbs the voltage"
-                .to_owned(),
+            _ => format!(
+                "the load steps or moves, the mains is not the one of {:.2} Hz that is used, or something that is no tone disturbs the voltage",
+                segment.mains_hz
+            ),
         };
         let text = format!(
             "R and L are not functions of the current alone, by {r_pct:.1} and {l_pct:.1} %; {why}"

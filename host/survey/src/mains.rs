@@ -68,6 +68,13 @@ const MAX_UNEXPLAINED_RATIO: f64 = 0.5;
 /// Share of the envelope's variance below which no other frequency can explain more.
 const MAX_UNEXPLAINED_SHARE: f64 = 1e-3;
 
+/// Half-cycles of 50 Hz from which 50 and 60 Hz are told apart.
+const TOLD_APART_HALF_CYCLES: f64 = 0.9;
+
+/// Difference in seconds of a zero crossing that is reported, and the largest unexplained variance of the envelope that shows it.
+const CROSSING_DIFFERS_S: f64 = 0.2e-3;
+const MAX_CROSSING_UNEXPLAINED: f64 = 0.01;
+
 /// Spacing of the envelope's points that are used, in seconds.
 const SPACING_S: f64 = 0.15e-3;
 
@@ -96,14 +103,18 @@ pub fn find(
     };
     let of_specified = specified_hz.map_or(search, |hz| Search::At(hz, search.law()));
     let measured = seen.then(|| fit(&envelopes, of_specified)).flatten();
-    if let (Some(specified_hz), true) = (specified_hz, seen && search != Search::Nominal)
-        && let Some(measured_hz) = better_hz(&envelopes, search, specified_hz, measured)
-    {
-        findings.push(Finding::MainsDiffers {
+    let better = match specified_hz {
+        Some(hz) if seen && half_cycles >= TOLD_APART_HALF_CYCLES => {
+            better_hz(&envelopes, search, hz, measured).map(|better_hz| (hz, better_hz))
+        }
+        _ => None,
+    };
+    findings.extend(
+        better.map(|(specified_hz, measured_hz)| Finding::MainsDiffers {
             specified_hz,
             measured_hz,
-        });
-    }
+        }),
+    );
     if seen && specified_hz.is_none() {
         let shown_hz = time_base::no_grids_hz(&envelopes, measured, &coverage);
         findings.extend(shown_hz.map(|shown_hz| Finding::TimeBase { shown_hz, rate_hz }));
@@ -117,6 +128,9 @@ pub fn find(
         (false, Some(_)) => MainsSource::Measured,
         (false, None) => MainsSource::Assumed,
     };
+    if let (Some(specified_s), Some(measured), None) = (specified_crossing_s, measured, better) {
+        findings.extend(crossing_differs(specified_s, measured));
+    }
     let mut mains = Mains {
         hz,
         hz_source: source(specified_hz.is_some()),
@@ -156,6 +170,18 @@ fn better_hz(
     let is_better = unexplained > MAX_UNEXPLAINED_SHARE
         && own.unexplained < MAX_UNEXPLAINED_RATIO * unexplained;
     ((own.hz - specified_hz).abs() > DIFFERS_HZ && is_better).then_some(own.hz)
+}
+
+/// Finding on a specified zero crossing that the envelope, fitted at the frequency used, shows elsewhere.
+fn crossing_differs(specified_s: f64, measured: Fit) -> Option<Finding> {
+    let half_s = 0.5 / measured.hz;
+    let late_s = specified_s - measured.t0_s;
+    let off_s = late_s - half_s * (late_s / half_s).round();
+    let is_clear = measured.unexplained < MAX_CROSSING_UNEXPLAINED;
+    (is_clear && off_s.abs() > CROSSING_DIFFERS_S).then(|| Finding::CrossingDiffers {
+        specified_s,
+        measured_s: specified_s - off_s,
+    })
 }
 
 /// Means of an envelope over [`SPACING_S`].

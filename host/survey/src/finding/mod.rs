@@ -135,6 +135,14 @@ pub enum Finding {
         /// Measured frequency in hertz.
         measured_hz: f64,
     },
+    /// The zero crossing specified differs from that of the envelope.
+    CrossingDiffers {
+        /// Time given by the user or stated by the capture, in seconds.
+        #[serde(rename = "told_s")]
+        specified_s: f64,
+        /// Nearest crossing of the envelope, in seconds.
+        measured_s: f64,
+    },
     /// The mains' phase could not be found.
     MainsUnknown {
         /// Frequency used in hertz.
@@ -247,6 +255,7 @@ impl Finding {
             Self::PieceTooShort { .. }
             | Self::FrequencyDiffers { .. }
             | Self::MainsDiffers { .. }
+            | Self::CrossingDiffers { .. }
             | Self::MainsUnknown { .. }
             | Self::Offset { .. }
             | Self::Implausible { .. }
@@ -282,6 +291,7 @@ impl Finding {
             Self::FrequencyDiffers { .. } => "frequency_differs",
             Self::HarmonicTaken { .. } => "harmonic_taken",
             Self::MainsDiffers { .. } => "mains_differs",
+            Self::CrossingDiffers { .. } => "crossing_differs",
             Self::MainsUnknown { .. } => "mains_unknown",
             Self::TimeBase { .. } => "time_base",
             Self::Clipping { .. } => "clipping",
@@ -310,6 +320,7 @@ impl Finding {
             Self::FrequencyDiffers { measured_hz, .. } | Self::MainsDiffers { measured_hz, .. } => {
                 *measured_hz
             }
+            Self::CrossingDiffers { measured_s, .. } => *measured_s,
             Self::HarmonicTaken { share_pct, .. } => *share_pct,
             Self::MainsUnknown { half_cycles, .. } => *half_cycles,
             Self::TimeBase { shown_hz, .. } => *shown_hz,
@@ -328,6 +339,7 @@ impl Finding {
         Some(match self {
             Self::FrequencyDiffers { specified_hz, .. }
             | Self::MainsDiffers { specified_hz, .. } => *specified_hz,
+            Self::CrossingDiffers { specified_s, .. } => *specified_s,
             Self::HarmonicTaken { .. } => MIN_SUBHARMONIC_PCT,
             Self::Implausible { most, .. } => *most,
             Self::CoarselySampled { .. } => crate::COARSE_SAMPLES_PER_PERIOD,

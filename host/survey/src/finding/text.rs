@@ -93,6 +93,15 @@ impl fmt::Display for Finding {
                 "a mains frequency of {specified_hz:.2} Hz is specified and used, but the envelope shows \
                  {measured_hz:.2} Hz"
             ),
+            Self::CrossingDiffers {
+                specified_s,
+                measured_s,
+            } => write!(
+                f,
+                "a mains zero crossing at {:.3} ms is specified and used, but the envelope shows it at {:.3} ms: check --input zero-crossing=S",
+                specified_s * 1e3,
+                measured_s * 1e3
+            ),
             Self::MainsUnknown {
                 assumed_hz,
                 hz_source,

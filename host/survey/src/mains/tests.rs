@@ -207,3 +207,54 @@ fn what_is_specified_is_used_and_checked() {
     assert_eq!((m.hz, m.zero_crossing_s), (60.0, 1e-3));
     assert!(matches!(findings[..], [Finding::MainsDiffers { .. }]));
 }
+
+/// A time of another clock, in another unit, or of another column.
+#[test]
+fn a_crossing_that_the_envelope_shows_elsewhere_is_reported() {
+    for (specified_s, is_reported) in [
+        (1e-3, false),
+        (1.1e-3, false),
+        (-9e-3, false),
+        (1.3e-3, true),
+        (0.7e-3, true),
+        (1.0, true),
+        (6e-3, true),
+    ] {
+        for (length_s, floor) in [(10e-3, 0.0), (40e-3, 0.0), (0.1, 30.0)] {
+            let e = [envelope(50.0, 1e-3, 0.0, length_s, floor)];
+            let mut findings = Vec::new();
+            let m = find(&e, Some(50.0), Some(specified_s), 0.0, 10e6, &mut findings);
+            assert_eq!(m.zero_crossing_s, specified_s);
+            let off_s = findings.iter().find_map(|f| match f {
+                Finding::CrossingDiffers { measured_s, .. } => Some(measured_s - 1e-3),
+                _ => None,
+            });
+            assert_eq!(off_s.is_some(), is_reported, "{specified_s} {length_s}");
+            let turns = off_s.unwrap_or(0.0) / 10e-3;
+            assert!(
+                (turns - turns.round()).abs() < 0.01,
+                "{specified_s} {turns}"
+            );
+        }
+    }
+}
+
+/// One half-cycle separates 50 Hz from 60 Hz, also where the wrong one is told.
+#[test]
+fn one_half_cycle_contradicts_the_frequency_told() {
+    for (hz, told_hz, half_s) in [
+        (50.0, 50.0, 10e-3),
+        (60.0, 60.0, 10e-3),
+        (60.0, 50.0, 10e-3),
+        (50.0, 60.0, 10e-3),
+    ] {
+        let mut findings = Vec::new();
+        let e = [envelope(hz, 0.0, 0.0, half_s, 0.0)];
+        find(&e, Some(told_hz), None, 0.0, 10e6, &mut findings);
+        let seen = findings.iter().find_map(|f| match f {
+            Finding::MainsDiffers { measured_hz, .. } => Some(*measured_hz),
+            _ => None,
+        });
+        assert_eq!(seen, (hz != told_hz).then_some(hz), "{findings:?}");
+    }
+}
