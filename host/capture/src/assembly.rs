@@ -132,8 +132,15 @@ pub fn assembled(
         Some(_) => FileFacts::default(),
     };
     let [v, i] = chosen.map(|c| c.index >= of_first);
-    if v != i {
-        let second = files[1].path.display().to_string();
+    if paired {
+        let [first, second] = [0, 1].map(|k| files[k].path.display().to_string());
+        if v == i {
+            let [used, unused] = if v { [second, first] } else { [first, second] };
+            return Err(choice(format!(
+                "voltage and current would both be of {used}, and {unused} would not be used: leave that file out, or name a channel of each \
+                 with --input channels=V,I, numbered through both files"
+            )));
+        }
         metadata.insert("paired_with".to_owned(), second);
     }
     let places = chosen.map(|c| c.index);

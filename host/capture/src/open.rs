@@ -60,6 +60,17 @@ fn separate(
     options: &OpenOptions,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Capture, CaptureError> {
+    if let (Some(second), Some(_)) = (&options.second, &options.columns) {
+        let what = format!(
+            "--input columns takes both channels from this file, and {} would not be read: leave that file out, or name a channel of \
+             each with --input channels=V,I",
+            second.display()
+        );
+        return Err(CaptureError::Choice {
+            path: path.to_owned(),
+            what,
+        });
+    }
     let mut files = vec![OpenFile::new(path, opener, options)?];
     if let Some(second) = &options.second {
         files.push(OpenFile::new(second, recognise(second)?, options)?);
@@ -203,6 +214,40 @@ mod tests {
         };
         let asked = open(&path, &no_rate).unwrap_err().to_string();
         assert!(asked.contains("--input rate=50M"), "{asked}");
+    }
+
+    /// A voltage of one file and a current of another one, as scopes and scripts write them, without headings.
+    #[test]
+    fn no_file_of_two_is_left_out_in_silence() {
+        let dir = tempfile::tempdir().unwrap();
+        let [first, second] = ["v.csv", "i.csv"].map(|name| dir.path().join(name));
+        std::fs::write(&first, b"0,1,7\n1,2,8\n2,3,9\n").unwrap();
+        std::fs::write(&second, b"0,4\n1,5\n2,6\n").unwrap();
+        let paired = |channels: Option<[usize; 2]>, columns: Option<[usize; 3]>| {
+            let options = OpenOptions {
+                second: Some(second.clone()),
+                columns: columns.map(|of| of.map(ChannelRef::Number)),
+                channels: crate::channels::ChannelOptions {
+                    channels: channels.map(|of| of.map(ChannelRef::Number)),
+                    ..Default::default()
+                },
+                ..OpenOptions::default()
+            };
+            open(&first, &options).map_err(|e| e.to_string())
+        };
+        let of_each = paired(Some([1, 3]), None).unwrap();
+        assert_eq!(
+            (of_each.v_v, of_each.i_a),
+            (vec![1.0, 2.0, 3.0], vec![4.0, 5.0, 6.0])
+        );
+        for (channels, columns, key) in [
+            (None, Some([1, 2, 2]), "--input columns"),
+            (None, Some([1, 2, 3]), "--input columns"),
+            (Some([1, 2]), None, "--input channels"),
+        ] {
+            let why = paired(channels, columns).unwrap_err();
+            assert!(why.contains(key) && why.contains("i.csv"), "{why}");
+        }
     }
 
     #[test]

@@ -113,12 +113,12 @@ fn fixtures() -> Vec<PathBuf> {
 /// without looking at its ratio, as numbers and as samples, and buffers.
 const BOUND: usize = 64 << 20;
 
-/// Opens a damaged file, alone and paired with itself; it may be sound still, or must be refused
+/// Opens a damaged file alone, or paired with itself if it has one channel; it may be sound still, or must be refused
 /// with its name.
 fn survives(path: &Path, bytes: &[u8], what: &str) -> bool {
     std::fs::write(path, bytes).unwrap();
-    let options = OpenOptions {
-        second: Some(path.to_owned()),
+    let options = |second: Option<&Path>| OpenOptions {
+        second: second.map(Path::to_owned),
         channels: ChannelOptions {
             channels: Some([ChannelRef::Number(1), ChannelRef::Number(2)]),
             probe: Some([1.0, 1.0]),
@@ -126,7 +126,12 @@ fn survives(path: &Path, bytes: &[u8], what: &str) -> bool {
         },
         ..OpenOptions::default()
     };
-    let (result, taken) = peak(path, &options);
+    let (alone, of_alone) = peak(path, &options(None));
+    let has_one = |e: &CaptureError| e.to_string().contains("no channel 2");
+    let (result, taken) = match alone.as_ref().is_err_and(has_one) {
+        true => peak(path, &options(Some(path))),
+        false => (alone, of_alone),
+    };
     assert!(taken < BOUND, "{what}: {taken} bytes");
     match result {
         Ok(capture) => {

@@ -88,8 +88,19 @@ impl CalibrateArgs {
     /// Any error of the capture's reader, the survey or the calibration; a file that cannot be written.
     pub fn run(&self, global: &Global) -> Result<()> {
         self.capture.ensure_not_read(self.out.as_deref())?;
+        self.refuse_unused()?;
         let loaded = self.capture.open()?;
         loaded.finish(self.calibrate(&loaded.capture, global.json))
+    }
+
+    /// Refuses keys of `--input` that this reference has no use for.
+    fn refuse_unused(&self) -> Result<()> {
+        let input = self.capture.input()?;
+        input.refuse(&["mains", "zero-crossing"])?;
+        match self.reference {
+            Against::Known(_) => input.refuse(&["resonance-capacitance"]),
+            Against::Plateaus => Ok(()),
+        }
     }
 
     fn calibrate(&self, capture: &Capture, json: bool) -> Result<()> {

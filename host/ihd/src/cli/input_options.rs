@@ -159,7 +159,7 @@ impl InputOptions {
         for (key, is_given) in given {
             ensure_usage!(
                 !is_given || !keys.contains(&key),
-                "--input {key}: this command has no use for it"
+                "--input {key}: this command has no use for it here: leave it out"
             );
         }
         Ok(())

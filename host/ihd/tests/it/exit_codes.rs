@@ -47,6 +47,14 @@ fn wrong_usage_is_2_whoever_finds_it() {
     let mut table = vec![
         ("calibrate a.mcap --reference wood", "no-pot"),
         ("calibrate a.mcap", "--reference"),
+        (
+            "calibrate a.mcap --reference r=3 --input resonance-capacitance=1080n",
+            "resonance-capacitance",
+        ),
+        (
+            "calibrate a.mcap --reference blind --input mains=50",
+            "mains",
+        ),
         ("convert a.mcap --out b.xyz", ".mcap"),
         ("convert a.mcap --out a.mcap", "also what is read"),
         ("convert a.mcap --out b.csv --input rate=0", "rate=0"),
