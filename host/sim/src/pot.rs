@@ -245,7 +245,11 @@ impl SimulatedPot {
         })
     }
 
-    fn check(&self) -> Result<(), FieldError> {
+    /// Checks that the field model holds for size and place of the pot.
+    ///
+    /// # Errors
+    /// The first number out of its range.
+    pub fn check(&self) -> Result<(), FieldError> {
         use ihd_field::error::in_range;
         in_range("pot diameter_m", self.diameter_m, 0.04, 0.4, "4 to 40 cm")?;
         in_range("pot lift_m", self.lift_m, 0.0, 0.1, "0 to 100 mm")?;

@@ -59,6 +59,7 @@ fn wrong_usage_is_2_whoever_finds_it() {
         ("convert a.mcap --out a.mcap", "also what is read"),
         ("convert a.mcap --out b.csv --input rate=0", "rate=0"),
         ("convert a.mcap --out b.csv --input fsw=45k", "fsw"),
+        ("simulate --set lift=-1mm", "lift_m"),
         ("hob --speed 0", "--speed"),
         ("hob --sim mains=20", "mains=20"),
         ("hob --sim anti-alias=1", "anti-alias=1"),

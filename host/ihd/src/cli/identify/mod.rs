@@ -6,6 +6,7 @@ mod parts;
 mod printed;
 mod report;
 mod results;
+mod settings;
 
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -261,7 +262,7 @@ impl IdentifyArgs {
 
     fn settings(&self) -> Result<IdentifyOptions> {
         let mut settings = match &self.settings {
-            Some(path) => read_settings(path)?,
+            Some(path) => settings::read(path)?,
             None => IdentifyOptions::default(),
         };
         let pinn = &mut settings.pinn;
@@ -271,10 +272,4 @@ impl IdentifyArgs {
         pinn.deterministic |= network.deterministic;
         Ok(settings)
     }
-}
-
-fn read_settings(path: &Path) -> Result<IdentifyOptions> {
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    toml::from_str(&text).with_context(|| format!("{} holds no settings", path.display()))
 }

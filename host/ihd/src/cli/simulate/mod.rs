@@ -103,6 +103,7 @@ impl SimulateArgs {
         keys::parse::<SpecOptions>("--set", &self.set)?.apply(&mut s);
         s.seed = self.seed.unwrap_or(s.seed);
         s.check().map_err(Usage::from_error)?;
+        s.pot.check().map_err(Usage::from_error)?;
         Ok(s)
     }
 
