@@ -178,7 +178,7 @@ fn crossing_differs(specified_s: f64, measured: Fit) -> Option<Finding> {
     let late_s = specified_s - measured.t0_s;
     let off_s = late_s - half_s * (late_s / half_s).round();
     let is_clear = measured.unexplained < MAX_CROSSING_UNEXPLAINED;
-    (is_clear && off_s.abs() > CROSSING_DIFFERS_S).then(|| Finding::CrossingDiffers {
+    (is_clear && off_s.abs() > CROSSING_DIFFERS_S).then_some(Finding::CrossingDiffers {
         specified_s,
         measured_s: specified_s - off_s,
     })
