@@ -202,8 +202,9 @@ impl CorrectionUncertainty {
                 "the correction of the sensors leaves R uncertain by {pct:.1} %: compare with --self-calibrate off, or calibrate \
                  against a reference"
             );
-            let remark = Remark::new("correction_doubtful", Severity::Warning, text);
-            return Some(remark.with(pct, Some(DOUBTFUL_PCT)));
+            let (severity, limit) = severity_of(pct, DOUBTFUL_PCT);
+            let remark = Remark::new("correction_doubtful", severity, text);
+            return Some(remark.with(pct, Some(limit)));
         }
         let pct = self.r_pct(self.lag_sigma_s.hypot(self.loop_s), load, segment.f_sw_hz);
         (TOLERABLE_SIGMAS * pct > TOLERABLE_PCT[0]).then(|| {
@@ -222,10 +223,7 @@ impl CorrectionUncertainty {
         if self.other_cause_s == 0.0 || TOLERABLE_SIGMAS * pct <= TOLERABLE_PCT[0] {
             return None;
         }
-        let (severity, limit) = match pct > MAX_SIGMA_PCT {
-            true => (Severity::Error, MAX_SIGMA_PCT),
-            false => (Severity::Warning, TOLERABLE_PCT[0] / TOLERABLE_SIGMAS),
-        };
+        let (severity, limit) = severity_of(pct, TOLERABLE_PCT[0] / TOLERABLE_SIGMAS);
         let without = load.r_ohm - (TAU * f_sw_hz).powi(2) * load.l_h * self.other_cause_s;
         let text = format!(
             "the current was corrected for being late by {:.0} ns, which a resistance outside the voltage's probe (bridge, shunt, \
@@ -235,6 +233,14 @@ impl CorrectionUncertainty {
             load.r_ohm
         );
         Some(Remark::new("correction_doubtful", severity, text).with(pct, Some(limit)))
+    }
+}
+
+/// Severity of a deviation of R in percent that is beyond `warning_pct`, with the limit that it exceeds.
+fn severity_of(pct: f64, warning_pct: f64) -> (Severity, f64) {
+    match pct > MAX_SIGMA_PCT {
+        true => (Severity::Error, MAX_SIGMA_PCT),
+        false => (Severity::Warning, warning_pct),
     }
 }
 

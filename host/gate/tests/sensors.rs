@@ -1,8 +1,9 @@
 //! R lies within its stated deviation whatever the sensors are, corrected or not, or the result does not pass.
 
-use ihd_gate::{ExamineOptions, Reconstruct, examine};
+use ihd_gate::{Examination, ExamineOptions, Reconstruct, examine};
 use ihd_identify::accuracy::fundamental;
 use ihd_identify::{IdentifyOptions, Method};
+use ihd_signal::Capture;
 use ihd_sim::recording::settings::CaptureSpec;
 use ihd_survey::Hints;
 use ihd_survey::calibration::blind::BlindOptions;
@@ -11,8 +12,8 @@ mod simulated;
 
 use simulated::{capture, clean};
 
-/// Errors of R as a root mean square over the half-cycles' middles: in standard deviations, and in percent.
-fn errors(change: impl Fn(&mut CaptureSpec)) -> [f64; 2] {
+/// A capture with changed settings, and least squares of it.
+fn examined(change: impl Fn(&mut CaptureSpec)) -> (Capture, Examination) {
     let mut settings = clean();
     change(&mut settings);
     let capture = capture(&settings);
@@ -24,6 +25,12 @@ fn errors(change: impl Fn(&mut CaptureSpec)) -> [f64; 2] {
         reconstruct: Reconstruct::No,
     };
     let examined = examine(&capture, &request, &mut |_, _, _| ()).expect("a carrier");
+    (capture, examined)
+}
+
+/// Errors of R as a root mean square over the half-cycles' middles: in standard deviations, and in percent.
+fn errors(change: impl Fn(&mut CaptureSpec)) -> [f64; 2] {
+    let (capture, examined) = examined(change);
     let truth = fundamental(&capture.truth);
     let found = examined.outcomes[0].result.as_ref().expect("an estimate");
     let segment = &examined.segments[0];
@@ -54,6 +61,20 @@ fn a_lag_that_is_not_corrected_is_in_the_deviation() {
     }
     let [sigmas, pct] = errors(|_| ());
     assert!(sigmas > 0.3 && pct < 0.02, "right ones: {sigmas}, {pct} %");
+}
+
+/// A skew of microseconds might also be a slow voltage, of which R is another one.
+#[test]
+fn what_leaves_r_uncertain_by_more_than_three_percent_does_not_pass() {
+    for skew_s in [1e-6, 3e-6] {
+        let (_, examined) = examined(|s| s.sensing.skew_s = skew_s);
+        let outcome = &examined.outcomes[0];
+        let found = outcome.result.as_ref().expect("an estimate");
+        let sigmas = found.r_sigma_ohm.iter().zip(&found.r_ohm);
+        let most = sigmas.map(|(sigma, r)| sigma / r).fold(0.0, f64::max);
+        assert!(most > 0.03, "{skew_s}: {most}");
+        assert!(!outcome.judgement.gate.passes(), "{skew_s}: {most}");
+    }
 }
 
 /// A filter that both channels share bends what a skew is measured by; two unlike filters look like one with a skew.
