@@ -145,9 +145,9 @@ windows: a frame of it is rare and short, and on a slow link a stream of windows
 
 Little-endian, {LEN} bytes. {FREQUENCIES} frequencies × {CURRENTS} currents, cell index =
 frequency · {CURRENTS} + current; R in 16 ohm / 65536, L in 64 µH / 65536. Bit `cell % 8` of observed
-byte `cell / 8` is set where the cell rests on observations. The CRC-32 covers all before it. A device
-takes a lookup whose version is above its own by at most {LOOKUP_VERSION_STEP} and whose cells are plausible, at
-the next half-cycle boundary. `ResetLookup` leads back to the built-in one, version 0.
+byte `cell / 8` is set where the cell rests on observations. The CRC-32 covers all before it. At a
+half-cycle boundary a device takes a lookup at most {LOOKUP_VERSION_STEP} versions above its own with plausible cells,
+and saves it while idle, once a minute at most. `ResetLookup` leads back to the built-in one, version 0.
 "
     )
 }
