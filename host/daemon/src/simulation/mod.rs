@@ -12,6 +12,8 @@
 //! simulation` repeats one seed and prints its course; `IHD_SEEDS` and `IHD_BOARD_SEEDS` set the number of seeds without and with a board.
 
 mod board;
+#[cfg(test)]
+mod calm;
 mod checks;
 pub(crate) mod disk;
 mod faults;

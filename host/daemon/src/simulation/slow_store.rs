@@ -8,11 +8,10 @@ use ihd_shared::lookup::prior::prior;
 use ihd_store::ResultFilter;
 use tokio::time::sleep;
 
+use super::calm::with_daemon;
 use super::disk::DiskState;
 use super::hob::HOBS;
-use super::life::{configuration, paused_runtime, start, store_folder};
-use super::recovery::wait_until_working;
-use super::world::{HobKind, World};
+use super::world::World;
 use crate::device::DeviceRequest;
 use crate::learning::LookupToPush;
 use crate::lease::LEASE_S;
@@ -31,13 +30,7 @@ fn asked_w(world: &World) -> u16 {
 /// off when it is not: the end of a lease may be late by one wait for the store, of a second.
 #[test]
 fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
-    // Seed 0 is calm.
-    let world = World::new(0, HobKind::Script, false);
-    let folder = store_folder();
-    paused_runtime().block_on(async {
-        let daemon = start(&world, configuration(&world, folder.path())).await;
-        let daemon = daemon.expect("it starts");
-        wait_until_working(&daemon).await;
+    with_daemon(async |world, daemon| {
         let name = HOBS[0];
         let lease = || async { daemon.take_lease(name, "ada", false).await.unwrap() };
         lease().await;
@@ -64,7 +57,7 @@ fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
             lease().await;
             sleep(Duration::from_secs(5)).await;
             let connections = world.lock().sockets[0].connection;
-            assert_eq!((asked_w(&world), connections), (POWER_W, 1));
+            assert_eq!((asked_w(world), connections), (POWER_W, 1));
         }
         // Queries have connections of their own.
         let asked = world.now();
@@ -74,13 +67,12 @@ fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
         assert_eq!(world.now(), asked, "a query waits for the store's thread");
         lease().await;
         let began = world.now();
-        while asked_w(&world) > 0 {
+        while asked_w(world) > 0 {
             sleep(Duration::from_millis(10)).await;
         }
         let after = world.now() - began;
         let end = Duration::from_secs(LEASE_S);
         let late = Duration::from_millis(1_200);
         assert!(after >= end && after <= end + late, "off after {after:?}");
-        world.end_life();
     });
 }

@@ -7,22 +7,14 @@ use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use tokio::time::sleep;
 
+use super::calm::with_daemon;
 use super::hob::HOBS;
-use super::life::{configuration, paused_runtime, start, store_folder};
-use super::recovery::wait_until_working;
-use super::world::{HobKind, World};
 use crate::device::DeviceRequest;
 use crate::learning::LookupToPush;
 
 #[test]
 fn a_lookup_from_before_a_reset_is_not_pushed_after_it() {
-    // Seed 0 is calm.
-    let world = World::new(0, HobKind::Script, false);
-    let folder = store_folder();
-    paused_runtime().block_on(async {
-        let daemon = start(&world, configuration(&world, folder.path())).await;
-        let daemon = daemon.expect("it starts");
-        wait_until_working(&daemon).await;
+    with_daemon(async |_, daemon| {
         let name = HOBS[0];
         let push = async |version, forgotten_count| {
             let lookup = RlLookup { version, ..prior() };
@@ -40,6 +32,5 @@ fn a_lookup_from_before_a_reset_is_not_pushed_after_it() {
         reset.await.expect("it is reset");
         assert_eq!(push(2, 0).await, Some(0));
         assert_eq!(push(1, 1).await, Some(1));
-        world.end_life();
     });
 }
