@@ -113,6 +113,15 @@ impl ModelChoice {
         self.after_s > AFTER_S[0]
     }
 
+    /// Squared deviations that this model explains beyond another one of the same plateaus; 0 of other plateaus.
+    pub fn gain_over(&self, other: &Self) -> f64 {
+        let ((own, numbers), (others, others_numbers)) = (self.fit.left, other.fit.left);
+        match numbers == others_numbers && own > 0.0 {
+            true => (others / own - 1.0) * numbers as f64,
+            false => 0.0,
+        }
+    }
+
     /// Returns `true` if the plateaus are flat except for noise and a small misfit.
     pub fn is_flat(&self) -> bool {
         let (chi_square, kinds) = self.fit.misfit.chi_square;

@@ -159,7 +159,9 @@ fn judged(
             sigma: chosen.skew_s.sigma,
         },
         response,
-        told_apart: v_tau_s > 0.0 || chosen.beyond_skew > MIN_SKEW_GAIN,
+        told_apart: v_tau_s > 0.0
+            || (settled.skew_s != 0.0 && chosen.is_flat())
+            || chosen.beyond_skew > MIN_SKEW_GAIN,
         tests: ModelTests {
             misfit: chosen.fit.misfit.share,
             flat: chosen.is_flat(),

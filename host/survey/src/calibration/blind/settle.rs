@@ -1,8 +1,10 @@
 //! Search for faults that reach over the edges: a slow voltage, whose edges have tails, and a skew longer than the guards. The
 //! capture is corrected and the rest estimated again, until nothing is left.
 
+use std::cmp::Ordering;
+
 use super::super::delay::delay;
-use super::choose::{MODELS, ModelChoice, choose, choose_between, edges};
+use super::choose::{MIN_SKEW_GAIN, MODELS, ModelChoice, choose, choose_between, edges};
 use super::correction::Correction;
 use super::edges::{Edges, Stretch};
 use super::error::BlindError;
@@ -49,12 +51,13 @@ pub(super) fn settle(
         Some(_) => None,
     };
     let shared = match shared {
-        Some(shared) if plain.is_flat() || !remains(&shared, &plain) => return Ok(nothing(shared)),
+        Some(shared) if !remains(&shared, &plain) => return Ok(nothing(shared)),
         other => other,
     };
-    // A skew that explains everything is preferred.
-    if plain.is_flat() || skew.value.abs() < MIN_S.max(10.0 * skew.sigma) {
-        return Ok(nothing(plain));
+    let is_long = skew.value.abs() >= MIN_S.max(10.0 * skew.sigma);
+    let is_within_guards = !plain.is_late() && skew.value.abs() < plain.after_s;
+    if !is_long || (plain.is_flat() && is_within_guards) {
+        return Ok(nothing(shared.unwrap_or(plain)));
     }
     let skewed = refined(skew.value, |skew_s| {
         let alike = Correction {
@@ -64,40 +67,60 @@ pub(super) fn settle(
         choose_corrected(stretches, &alike, settling_s)
     });
     // A slow voltage looks late; not searched if a shared filter is known.
-    let slow = (skew.value > 0.0 && settling_s.is_none()).then(|| {
-        let matched = |v_tau_s: f64| {
-            let alike = Correction {
-                v_tau_s,
-                ..Correction::default()
-            };
-            choose_corrected(stretches, &alike, Some(v_tau_s))
-        };
-        let tried = STARTS
-            .into_iter()
-            .filter_map(|share| Some((share * skew.value, matched(share * skew.value)?)));
-        let best = tried.min_by(|a, b| share(&a.1).total_cmp(&share(&b.1)))?;
-        refined(best.0, matched)
+    let slow = (skew.value > 0.0 && settling_s.is_none())
+        .then(|| slow_voltage(stretches, skew.value))
+        .flatten();
+    let skewed = skewed.map(|(skew_s, chosen)| SettledChoice {
+        chosen,
+        v_tau_s: 0.0,
+        skew_s,
     });
-    let slow = slow.flatten().filter(|(tau_s, _)| *tau_s > 0.0);
     let limit = MAX_RESIDUAL_SHARE * share(&plain);
-    let good = |choice: &(f64, ModelChoice)| choice.1.is_flat() || share(&choice.1) < limit;
-    let of_slow = slow.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
-    let of_skew = skewed.as_ref().map_or(f64::INFINITY, |s| share(&s.1));
+    if plain.is_flat() {
+        // Long guards leave out the tails of a slow voltage, and a current from before the edge: without the fault the plateaus are longer, or
+        // as long and closer to the model.
+        let known = shared.as_ref().unwrap_or(&plain);
+        let explains = |c: &SettledChoice| {
+            let is_longer = c.chosen.samples > known.samples.max(plain.samples);
+            c.chosen.is_flat() && (is_longer || c.chosen.gain_over(known) > MIN_SKEW_GAIN)
+        };
+        // Ringing makes guards long, too.
+        let skewed = skewed.filter(|c| share(&c.chosen) <= limit);
+        let of_fault = slow.into_iter().chain(skewed).filter(explains);
+        let best = of_fault.max_by(|a, b| better(&a.chosen, &b.chosen));
+        return Ok(best.unwrap_or_else(|| nothing(shared.unwrap_or(plain))));
+    }
+    let good = |c: &SettledChoice| c.chosen.is_flat() || share(&c.chosen) < limit;
+    let of = |c: &Option<SettledChoice>| c.as_ref().map_or(f64::INFINITY, |c| share(&c.chosen));
+    let (of_slow, of_skew) = (of(&slow), of(&skewed));
     if let Some(shared) = shared.filter(|s| share(s) < of_slow.min(of_skew)) {
         return Ok(nothing(shared));
     }
     Ok(match (slow.filter(good), skewed.filter(good)) {
-        (Some((v_tau_s, chosen)), other) if of_slow < of_skew || other.is_none() => SettledChoice {
-            chosen,
-            v_tau_s,
-            skew_s: 0.0,
-        },
-        (_, Some((skew_s, chosen))) => SettledChoice {
-            chosen,
-            v_tau_s: 0.0,
-            skew_s,
-        },
+        (Some(slow), other) if of_slow < of_skew || other.is_none() => slow,
+        (_, Some(skewed)) => skewed,
         _ => nothing(plain),
+    })
+}
+
+/// Returns the model with a slow voltage that looks like a skew of `skew_s` seconds.
+fn slow_voltage(stretches: &[Stretch<'_>], skew_s: f64) -> Option<SettledChoice> {
+    let matched = |v_tau_s: f64| {
+        let alike = Correction {
+            v_tau_s,
+            ..Correction::default()
+        };
+        choose_corrected(stretches, &alike, Some(v_tau_s))
+    };
+    let tried = STARTS
+        .into_iter()
+        .filter_map(|share| Some((share * skew_s, matched(share * skew_s)?)));
+    let best = tried.min_by(|a, b| share(&a.1).total_cmp(&share(&b.1)))?;
+    let (v_tau_s, chosen) = refined(best.0, matched)?;
+    (v_tau_s > 0.0).then_some(SettledChoice {
+        chosen,
+        v_tau_s,
+        skew_s: 0.0,
     })
 }
 
@@ -128,12 +151,6 @@ fn shared_filter(edges: &[(&Stretch<'_>, Edges)], plain: &ModelChoice) -> Option
     // A droop bends a plateau much as a tail does.
     let models = [Model::Right, Model::Skew];
     let with = |tau_s: f64| choose_between(edges, Some(tau_s), &models).ok();
-    // How much of a plateau the model explains, then how well.
-    let better = |a: &ModelChoice, b: &ModelChoice| {
-        let flat = a.is_flat().cmp(&b.is_flat());
-        flat.then(a.samples.total_cmp(&b.samples))
-            .then(share(b).total_cmp(&share(a)))
-    };
     let tried = SHARED_S
         .into_iter()
         .filter_map(|tau_s| Some((tau_s, with(tau_s)?)));
@@ -166,6 +183,13 @@ fn shared_filter(edges: &[(&Stretch<'_>, Edges)], plain: &ModelChoice) -> Option
 /// Returns `true` if most of a skew remains with a filter that both channels share.
 fn remains(shared: &ModelChoice, plain: &ModelChoice) -> bool {
     shared.skew_s.value.abs() > MAX_REMAINING_SHARE * plain.skew_s.value.abs()
+}
+
+/// Order by how much of a plateau a model explains, then by how well.
+fn better(a: &ModelChoice, b: &ModelChoice) -> Ordering {
+    let flat = a.is_flat().cmp(&b.is_flat());
+    flat.then(a.samples.total_cmp(&b.samples))
+        .then(share(b).total_cmp(&share(a)))
 }
 
 fn share(chosen: &ModelChoice) -> f64 {
