@@ -3,7 +3,7 @@
 use crate::alloy::KnownAlloys;
 use crate::batch::{Batches, ThermalHalfCycle};
 use crate::contents::{BASE_J_PER_M2K, ContentsFit, WALL_J_PER_K};
-use crate::filter::ThermalFilter;
+use crate::filter::{PotMotion, ThermalFilter};
 use crate::metal::MetalLaw;
 use crate::placement::Placement;
 use crate::pot_reading::{PotEvent, PotReading};
@@ -12,6 +12,9 @@ use crate::turnover::TurnoverDetector;
 
 /// Gap in seconds between half-cycles that ends a run: what happened to pot and power meanwhile is unknown.
 pub const GAP_S: f64 = 120.0;
+
+/// Time in seconds without heat after which a pot that seems moved may be another one: nobody exchanges pots faster.
+const EXCHANGE_S: f64 = 2.0;
 
 /// Thermometer of the pot on one coil. A pot that boils water teaches the effect of heat on its metal, which is used when it is put on
 /// again.
@@ -23,6 +26,8 @@ pub struct Thermometer {
     /// Energy in joule since the pot was put on, until it is identified.
     energy_j: f64,
     tracked: Option<Box<TrackedPot>>,
+    /// Time in seconds without heat since the last batch, in which nothing shows the pot.
+    unseen_s: f64,
     events: Vec<PotEvent>,
     /// Alloys of pots that boiled water here.
     alloys: KnownAlloys,
@@ -72,6 +77,9 @@ impl Thermometer {
             false => 0.0,
         };
         let energy_j = power_w * dt_s;
+        if !h.heats {
+            self.unseen_s += dt_s;
+        }
         self.last = Some(*h);
         let batch = self.batches.push(h);
         match &mut self.tracked {
@@ -85,7 +93,13 @@ impl Thermometer {
             Some(tracked) => {
                 let to_tick_s = tracked.add_heat(h.t_s, dt_s, power_w);
                 if let Some(batch) = batch {
-                    tracked.add_batch(&batch, &mut self.events);
+                    let unseen_s = std::mem::take(&mut self.unseen_s);
+                    if let PotMotion::Moved { lift_mm, straight } = tracked.add_batch(&batch) {
+                        if unseen_s > EXCHANGE_S {
+                            return self.begin_anew();
+                        }
+                        self.events.push(PotEvent::Moved { lift_mm, straight });
+                    }
                 }
                 if to_tick_s <= 0.0 {
                     tracked.tick(h.t_s, &mut self.events);

@@ -67,12 +67,10 @@ impl TrackedPot {
         self.tick_s + TICK_S - t_s
     }
 
-    /// Updates ΔT and lift with a batch.
-    pub fn add_batch(&mut self, batch: &HalfCycleBatch, events: &mut Vec<PotEvent>) {
+    /// Updates ΔT and lift with a batch; returns the motion of the pot that it shows.
+    pub fn add_batch(&mut self, batch: &HalfCycleBatch) -> PotMotion {
         self.filter.advance(batch.t_s, self.mean_w);
-        if let PotMotion::Moved { lift_mm, straight } = self.filter.update(batch) {
-            events.push(PotEvent::Moved { lift_mm, straight });
-        }
+        self.filter.update(batch)
     }
 
     /// Present state.

@@ -210,6 +210,32 @@ fn a_pot_that_is_lifted_is_told_and_keeps_its_temperature() {
     assert!(k.rms_k() < 5.0);
 }
 
+/// Nothing shows a pot while the hob is off.
+#[test]
+fn a_cold_pot_that_comes_while_the_hob_is_off_does_not_begin_with_the_heat_of_the_one_before() {
+    for pot in ["cast-iron-15", "ferritic-18", "cast-iron-21"] {
+        let mut k = Kitchen::new("ferritic-21", "empty", 5).cook(50.0, |_, _| 1000.0);
+        let hot_k = k.thermometer.reading().unwrap().rise_k;
+        assert!(hot_k > 50.0, "{hot_k} K");
+        k = k.cook(5.0, |_, _| 0.0);
+        let t_s = k.cooking.t_s();
+        let mut other = Kitchen::new(pot, "empty", 6);
+        for _ in 0..500 {
+            other.cooking.set_power(1000.0);
+            let mut cooked = other.cooking.half_cycle();
+            cooked.t_s += t_s;
+            k.thermometer.push(&seen(&cooked));
+        }
+        let reading = k.thermometer.reading().unwrap();
+        let true_k = other.cooking.thermal().temperature_c() - other.start_c;
+        let off_k = (reading.rise_k - true_k).abs();
+        assert!(
+            off_k < 3.0 * reading.sigma_k && off_k < 15.0,
+            "{pot}: {true_k} K, {reading:?}"
+        );
+    }
+}
+
 #[test]
 fn what_cannot_boil_is_never_said_to() {
     let k = Kitchen::new("ferritic-18", "oil-0.8", 1)
