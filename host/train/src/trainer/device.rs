@@ -43,6 +43,8 @@ pub struct Device<'a> {
     last_received: Duration,
     /// Set if telemetry shows the power that was requested last.
     is_confirmed: bool,
+    /// `true` if the device was idle when it was last seen, which outlasts a cut link: a person or the device itself has ended the power.
+    pub(super) is_switched_off: bool,
     /// Reason for which the device waits for a pot or pauses, as it was reported; `None` if it does not.
     waits_for: Option<(State, Pot, Fault)>,
     /// First failure of the recording.
@@ -68,6 +70,7 @@ impl<'a> Device<'a> {
             last_sent: now,
             last_received: now,
             is_confirmed: false,
+            is_switched_off: false,
             waits_for: None,
             not_recorded: None,
         }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ihd_link::{DeviceEvent, LinkError, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{Outcome, State, Telemetry};
+use ihd_shared::wire::messages::{OffReason, Outcome, State, Telemetry};
 
 use super::run::Run;
 use super::{OperatingPoint, RunProgress, TrainerError};
@@ -81,6 +81,7 @@ impl Run<'_, '_> {
     /// Reports a change of state or fault since the half-cycle before, in a line.
     fn report_state_change(&mut self, t: Telemetry, asked_w: u16) {
         let before = self.device.last.replace(t.clone());
+        self.device.is_switched_off = t.state == State::Idle;
         let same = |b: &Telemetry| b.state == t.state && b.fault == t.fault;
         if before.as_ref().is_some_and(same) {
             return;
@@ -136,6 +137,8 @@ impl Run<'_, '_> {
             "connected again; it has started anew and is not switched on again".into()
         } else if status.state == State::LockedOut || status.asked_w == asked_w {
             "connected again".into()
+        } else if !ended_by_silence(status.off_reason, self.device.is_switched_off) {
+            "connected again; it was switched off, or gave up, and is not switched on again".into()
         } else {
             match self.device.request_power(asked_w) {
                 Ok(asked_w) => format!("connected again, {asked_w} W asked for again"),
@@ -173,6 +176,12 @@ impl Run<'_, '_> {
     }
 }
 
+/// Returns `true` if nothing but the silence of the host has ended the power: the device was not idle when it was last seen, and
+/// states no reason of its own since.
+fn ended_by_silence(reason: OffReason, was_switched_off: bool) -> bool {
+    !was_switched_off && reason == OffReason::None
+}
+
 /// Mark of a boot. The half-cycle is needed too: a simulated hob has the same boot number every time.
 struct BootMark {
     boot_id: u32,
@@ -202,5 +211,18 @@ fn is_cut(why: &TrainerError) -> bool {
                 }
         ),
         _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A pot that comes back while the link is away heats no more.
+    #[test]
+    fn power_is_asked_for_again_only_where_silence_has_ended_it() {
+        assert!(ended_by_silence(OffReason::None, false));
+        assert!(!ended_by_silence(OffReason::None, true));
+        assert!(!ended_by_silence(OffReason::NoPot, false));
     }
 }
