@@ -56,7 +56,7 @@ fn device(s: &Status, built: Option<&BuiltLookup>) -> String {
     format!(
         "lookup   version {} active on the device; {known} of {CELLS} cells known: {seen} seen, the others follow \
          from the pot's physics\n\
-         power    {} W asked, {:.0} W delivered at {:.2} kHz\n\
+         power    {} W asked, {:.0} W in the last half-cycle at {:.2} kHz\n\
          pot      {:?}; state {:?}, fault {:?}\n",
         s.lookup_version,
         s.asked_w,

@@ -102,13 +102,22 @@ fn following_survives_a_hob_that_comes_back_and_a_signal_is_its_ordinary_end() {
     assert_eq!(hob.left_with_w(), 0);
 }
 
-/// The report of a run with a simulated hob: the map that it taught itself, against the load's own law.
+/// The report of a run with a simulated hob: the map that it taught itself, against the load's own law, and the powers of its windows, of
+/// which 300 W are made in bursts.
 #[test]
-fn it_reports_the_maps_error() {
-    let args = "trainer --store none --json --power 1500,1000 --sim load=reduced,lift=2mm";
+fn it_reports_the_maps_error_and_the_power_of_each_window() {
+    let args = "trainer --store none --json --power 1500,300,1000 --sim load=reduced,lift=2mm";
     let mut command = Command::new(env!("CARGO_BIN_EXE_ihd"));
     let output = command.args(args.split(' ')).output().expect("ihd runs");
-    let error = &report(&String::from_utf8_lossy(&output.stdout))["map_error"];
+    let report = report(&String::from_utf8_lossy(&output.stdout));
+    for point in report["points"].as_array().expect("points") {
+        let of = |place: &str| point.pointer(place).and_then(Value::as_f64).expect(place);
+        // ½·R·I² at the crest, and about half of it in the mean over the half-cycle.
+        let half_w = 0.25 * of("/truth/r_ohm") * of("/i_crest_a").powi(2);
+        let share = of("/delivered_w") / half_w;
+        assert!((0.85..1.15).contains(&share), "{share} in {point:#}");
+    }
+    let error = &report["map_error"];
     let number = |place: &str| {
         let found = error.pointer(place).and_then(Value::as_f64);
         found.unwrap_or_else(|| panic!("no number at {place} in {error:#}"))

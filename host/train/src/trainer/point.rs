@@ -24,7 +24,7 @@ pub struct RelativeErrors {
 pub struct PointReport {
     /// Requested power in watt; `None` in a replay.
     pub asked_w: Option<u16>,
-    /// Power in watt of the last half-cycle before the window arrived; `None` in a replay.
+    /// Mean power in watt of the window's half-cycle: that of a burst where bursts make the power; `None` in a replay.
     pub delivered_w: Option<f64>,
     /// Switching frequency in hertz.
     pub f_sw_hz: u32,
@@ -84,12 +84,19 @@ pub fn errors(
     })
 }
 
-/// Compares a window's estimates with each other and with the truth; `power` is the requested and the delivered one, in watt.
+/// Mean power of the window's half-cycle in watt.
+fn mean_power_w(window: &Window) -> f64 {
+    let energy = |(v, i): (f64, f64)| v * i * window.dt_s();
+    let pairs = window.v_volt().into_iter().zip(window.i_ampere());
+    pairs.map(energy).sum::<f64>() / (f64::from(window.half_cycle_ns) * 1e-9)
+}
+
+/// Compares a window's estimates with each other and with the truth; `asked_w` is the requested power in watt.
 pub fn compare(
     window: &Window,
     identified: &Identification,
     truth: Option<&Truth>,
-    power: Option<(u16, f64)>,
+    asked_w: Option<u16>,
 ) -> PointReport {
     let half_cycle_s = f64::from(window.half_cycle_ns) * 1e-9;
     let (crest_s, i_crest_a) = crest(identified);
@@ -103,8 +110,8 @@ pub fn compare(
     let network = network.map(|((&t, &r), &l)| (t, r, l));
     let track: Vec<_> = track(window).collect();
     PointReport {
-        asked_w: power.map(|p| p.0),
-        delivered_w: power.map(|p| p.1),
+        asked_w,
+        delivered_w: asked_w.map(|_| mean_power_w(window)),
         f_sw_hz: window.f_sw_hz,
         i_crest_a,
         window_seq: window.seq,

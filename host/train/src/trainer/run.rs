@@ -369,10 +369,7 @@ impl Run<'_, '_> {
         at: OperatingPoint,
         truth: Option<&Truth>,
     ) -> PointReport {
-        let last = self.device.last.as_ref();
-        let delivered_w = last.map(|t| f64::from(t.power_mw) * 1e-3);
-        let power = at.asked_w().zip(delivered_w);
-        let mut point = point::compare(window, identified, truth, power);
+        let mut point = point::compare(window, identified, truth, at.asked_w());
         point.learned_errors = truth.and_then(|truth| {
             let learned = self.learning.predict(window, identified);
             let known = identified.t_s.iter().zip(&learned);
