@@ -12,6 +12,9 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
 
 use super::device::RENEW_PERIOD;
 
+/// Name of its device.
+pub const DEVICE: &str = "simulated";
+
 /// Name of the demonstration as a client.
 const HOLDER: &str = "demonstration";
 
@@ -24,8 +27,6 @@ const SWEEP_LASTS: Duration = Duration::from_secs(10);
 /// Configuration of a demonstration.
 #[derive(Debug)]
 pub struct Demonstration {
-    /// The device.
-    pub device: DeviceSpec,
     /// Options of the simulated hob, in the form of a configuration.
     pub sim: toml::Table,
     /// Powers of the sweep, in watt.
@@ -37,14 +38,6 @@ pub struct Demonstration {
 }
 
 impl Demonstration {
-    /// Name of its device.
-    pub fn name(&self) -> &'static str {
-        match self.device {
-            DeviceSpec::Sim => "simulated",
-            _ => "hob",
-        }
-    }
-
     /// Returns the daemon's configuration with the demonstration's device: the user's, if there is one, else one that listens on a
     /// free port of the loopback.
     pub fn config(&self, of_file: Option<DaemonConfig>) -> DaemonConfig {
@@ -54,10 +47,10 @@ impl Demonstration {
             ..DaemonConfig::default()
         });
         let address = Address {
-            spec: self.device.clone(),
+            spec: DeviceSpec::Sim,
             sim: self.sim.clone(),
         };
-        let name = self.name().to_owned();
+        let name = DEVICE.to_owned();
         DaemonConfig {
             devices: vec![DeviceConfig { name, address }],
             discover_usb: Some(false),
@@ -184,7 +177,6 @@ mod tests {
     #[test]
     fn it_listens_where_a_configuration_says_and_else_on_a_free_port() {
         let demonstration = Demonstration {
-            device: DeviceSpec::Sim,
             sim: toml::Table::new(),
             powers_w: vec![700],
             store: "here".into(),
@@ -198,7 +190,7 @@ mod tests {
         assert_eq!(config.listen.to_string(), "127.0.0.1:9");
         assert_eq!(config.store.to_str(), Some("there"));
         assert_eq!(config.devices.len(), 1, "nobody else's hob heats by itself");
-        assert_eq!(config.devices[0].name, "simulated");
+        assert_eq!(config.devices[0].name, DEVICE);
         assert!(!config.discovers_usb());
     }
 }

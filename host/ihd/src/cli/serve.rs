@@ -11,7 +11,6 @@ use ihd_api::ApiServer;
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::fleet::FleetConfig;
 use ihd_daemon::{Daemon, DaemonError};
-use ihd_link::DeviceSpec;
 use ihd_store::StoreError;
 use tokio::runtime;
 use tokio::sync::watch;
@@ -315,20 +314,14 @@ async fn end(_: Option<std::convert::Infallible>) {}
 fn page_text(page: &str, demonstration: Option<&Demonstration>) -> String {
     match demonstration {
         None => format!("the page is {page}"),
-        Some(d) => {
-            let hob = match &d.device {
-                DeviceSpec::Sim => "a simulated hob".to_owned(),
-                device => format!("the hob at {device}"),
-            };
-            format!(
-                "the page is {page} and shows {hob} that heats by itself until a client commands it; ^C ends it"
-            )
-        }
+        Some(_) => format!(
+            "the page is {page} and shows a simulated hob that heats by itself until a client commands it; ^C ends it"
+        ),
     }
 }
 
 async fn heat_until_taken(daemon: Daemon, d: Demonstration) {
-    let somebody = demonstration::heat(daemon, d.name(), d.powers_w).await;
+    let somebody = demonstration::heat(daemon, demonstration::DEVICE, d.powers_w).await;
     // An error of the output is no reason to end.
     let _ = say!("{somebody} commands the hob now: it heats no more by itself");
 }

@@ -215,11 +215,12 @@ impl SimOptions {
                 || LoadKind::from(self.load) != LoadKind::Field,
             "--sim perturb=rings goes with load=reduced: the rings of the time domain are compiled in"
         );
+        let default = HobConfig::default().supply;
+        let supply = default.with(self.bus_capacitance, self.line_inductance);
+        supply.check().map_err(Usage::from_error)?;
         Ok(HobConfig {
             mains_hz: self.mains,
-            supply: HobConfig::default()
-                .supply
-                .with(self.bus_capacitance, self.line_inductance),
+            supply,
             bench_supply_v: self.bench_supply,
             pot,
             load: self.load.into(),

@@ -158,12 +158,13 @@ impl TrainerArgs {
             self.store().is_some(),
             "--store none: a daemon keeps what it learns; --store DIR names its folder"
         );
+        ensure_usage!(
+            self.device == DeviceSpec::Sim,
+            "--ui heats by itself, which is for a simulated hob: `ihd trainer --daemon --ui` shows the page of {}, and heats nothing",
+            self.device
+        );
         let demonstration = Demonstration {
-            sim: match self.device {
-                DeviceSpec::Sim => self.simulated.options()?.table(),
-                _ => toml::Table::new(),
-            },
-            device: self.device.clone(),
+            sim: self.simulated.options()?.table(),
             powers_w: self.power.clone(),
             store: self.store.clone(),
             network: self.network.table()?,

@@ -84,7 +84,7 @@ impl SupplyParts {
     ///
     /// # Errors
     /// [`InverterError::OutOfRange`].
-    pub(super) fn check(&self) -> Result<(), InverterError> {
+    pub fn check(&self) -> Result<(), InverterError> {
         let Self {
             line_r_ohm,
             line_l_h,

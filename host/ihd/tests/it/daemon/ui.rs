@@ -115,10 +115,12 @@ fn what_has_no_page_is_refused() {
         &["--ui", "--store", "none"][..],
         &["--ui", "--follow"],
         &["--ui", "--json"],
+        &["--ui", "--device", "tcp:127.0.0.1:9"],
         &["--ui", "--replay", "x.mcap"],
         &["--ui", "--power", "0"],
         &["--ui", "--pot", "copper"],
         &["--ui", "--sim", "mains=16.7"],
+        &["--ui", "--sim", "bus-capacitance=5"],
     ] {
         let output = ihd().arg("trainer").args(args).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{args:?}");
