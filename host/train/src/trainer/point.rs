@@ -6,6 +6,8 @@ use ihd_signal::Load;
 use ihd_signal::truth::{Mre, Truth};
 use serde::Serialize;
 
+use crate::learning::anti_alias_loss;
+
 /// Mean relative errors in percent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RelativeErrors {
@@ -84,11 +86,12 @@ pub fn errors(
     })
 }
 
-/// Mean power of the window's half-cycle in watt.
+/// Mean power of the window's half-cycle in watt, before the anti-alias filters.
 fn mean_power_w(window: &Window) -> f64 {
     let energy = |(v, i): (f64, f64)| v * i * window.dt_s();
     let pairs = window.v_volt().into_iter().zip(window.i_ampere());
-    pairs.map(energy).sum::<f64>() / (f64::from(window.half_cycle_ns) * 1e-9)
+    let filtered_w = pairs.map(energy).sum::<f64>() / (f64::from(window.half_cycle_ns) * 1e-9);
+    filtered_w * anti_alias_loss(f64::from(window.f_sw_hz)).powi(2)
 }
 
 /// Compares a window's estimates with each other and with the truth; `asked_w` is the requested power in watt.
