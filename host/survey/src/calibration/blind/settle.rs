@@ -59,22 +59,11 @@ pub(super) fn settle(
     if !is_long || (plain.is_flat() && is_within_guards) {
         return Ok(nothing(shared.unwrap_or(plain)));
     }
-    let skewed = refined(skew.value, |skew_s| {
-        let alike = Correction {
-            skew_s,
-            ..Correction::default()
-        };
-        choose_corrected(stretches, &alike, settling_s)
-    });
+    let skewed = skewed(stretches, skew.value, settling_s);
     // A slow voltage looks late; not searched if a shared filter is known.
     let slow = (skew.value > 0.0 && settling_s.is_none())
         .then(|| slow_voltage(stretches, skew.value))
         .flatten();
-    let skewed = skewed.map(|(skew_s, chosen)| SettledChoice {
-        chosen,
-        v_tau_s: 0.0,
-        skew_s,
-    });
     let limit = MAX_RESIDUAL_SHARE * share(&plain);
     if plain.is_flat() {
         // Long guards leave out the tails of a slow voltage, and a current from before the edge: without the fault the plateaus are longer, or
@@ -100,6 +89,27 @@ pub(super) fn settle(
         (Some(slow), other) if of_slow < of_skew || other.is_none() => slow,
         (_, Some(skewed)) => skewed,
         _ => nothing(plain),
+    })
+}
+
+/// Returns the model after a skew of about `skew_s` seconds.
+fn skewed(
+    stretches: &[Stretch<'_>],
+    skew_s: f64,
+    settling_s: Option<f64>,
+) -> Option<SettledChoice> {
+    let matched = |skew_s: f64| {
+        let alike = Correction {
+            skew_s,
+            ..Correction::default()
+        };
+        choose_corrected(stretches, &alike, settling_s)
+    };
+    let (skew_s, chosen) = refined(skew_s, matched)?;
+    Some(SettledChoice {
+        chosen,
+        v_tau_s: 0.0,
+        skew_s,
     })
 }
 
