@@ -396,7 +396,11 @@ impl Plant {
             let now = self.inverter.rest(STEPS_PER_SAMPLE);
             self.adc.filters.set_step(sample_s);
             self.adc.filters.step(&now);
-            current(self.adc.filters.outputs()[1]);
+            let i_a = self.adc.filters.outputs()[1];
+            // With both switches open a trip opens nothing, and the first switch that closes clears it.
+            let excess_a = self.current_sensor.output_a(i_a).abs() - self.trip_a;
+            self.comparator.advance(excess_a, FAULT_FILTER_S, sample_s);
+            current(i_a);
             self.end_sample(crest, sample_s);
             return self.adc.convert(start[0], start[1]);
         }

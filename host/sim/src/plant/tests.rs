@@ -154,6 +154,26 @@ fn pots_are_exchanged_and_frequency_changed_in_operation() {
     }
 }
 
+/// A sensor's pulse of 90 A holds the comparator above its level when both switches open; it ends 10 ms before they close again.
+#[test]
+fn a_pulse_that_ended_while_open_trips_no_later_start() {
+    let mut plant = at_full_power(LoadKind::Behavioural);
+    plant.set_comparator(76.0);
+    let run = |plant: &mut Plant, offset_a: f64, drive: Drive, until_s: f64| {
+        let gain = 1.0;
+        plant.set_current_sensor(CurrentSensor { gain, offset_a });
+        plant.set_drive(drive);
+        while plant.t_s() < until_s {
+            plant.sample(|_| ());
+        }
+        plant.take_trip()
+    };
+    assert!(run(&mut plant, 90.0, Drive::switching(50_000), 5.1e-3));
+    run(&mut plant, 90.0, Drive::OFF, 5.3e-3);
+    run(&mut plant, 0.0, Drive::OFF, 15.3e-3);
+    assert!(!run(&mut plant, 0.0, Drive::switching(50_000), 15.4e-3));
+}
+
 /// docs/board.md, "Pins": one sensor feeds converter and comparators.
 #[test]
 fn the_comparator_sees_the_current_by_its_sensor() {
