@@ -201,15 +201,15 @@ impl SimHob {
         let end_s = self.plant.t_s();
         let half = self.plant.divided().half;
         let slow = self.slow_adc.block(self.plant.divided());
+        let slow = self.injections.on_slow(slow);
         let crossing = self.zero_crossing.on_block(slow.mains);
         self.injections.on_pairs(&mut pairs);
         let scale = self.housekeeping.control().supply_scale();
         let words = Pair::words(&pairs).map(|word| scale.pair(word));
-        let bus_codes = slow.bus.map(|code| self.injections.on_bus(code));
         let block = AdcBlock {
             pairs: Pair::of_words(&words),
             zero_crossing: self.injections.on_crossing(crossing, start_s, end_s),
-            bus: BusReading::new(bus_codes, half, scale),
+            bus: BusReading::new(slow.bus, half, scale),
             dc_link_ma: self.dc_link.then(|| {
                 let charge_c = self.plant.link_charge_c() - link_before_c;
                 // A current that flows back reads as zero.

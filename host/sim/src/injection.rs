@@ -9,6 +9,7 @@ use ihd_shared::sampling::{
 use serde::{Deserialize, Serialize};
 
 use crate::front_end::NOMINAL_SUPPLY_V;
+use crate::slow_adc::SlowBlock;
 
 /// Supply below which the chip's detector (PVD) opens the bridge, in volt (docs/board.md, "Protection").
 const DETECTOR_V: f64 = 2.9;
@@ -235,6 +236,16 @@ impl Injections {
             }
         }
         sensor
+    }
+
+    /// Applies the faults to the codes of the slow converter.
+    pub fn on_slow(&self, slow: SlowBlock) -> SlowBlock {
+        let supply = self.product(InjectionKind::Supply);
+        let mains = (f64::from(slow.mains) / supply).round();
+        SlowBlock {
+            bus: slow.bus.map(|code| self.on_bus(code)),
+            mains: mains.clamp(f64::from(CODE_MIN), f64::from(CODE_MAX)) as i32,
+        }
     }
 
     /// Applies the faults to a code of the bus voltage.
