@@ -9,11 +9,11 @@ use crate::injection::{FaultChannel, InjectionKind, Injections};
 /// Default temperature around the hob, in °C.
 pub const AMBIENT_C: f64 = 25.0;
 
-/// Voltage across the conducting switch or diode, in volt: 1.7 V of an IGBT of 1200 V at 25 A.
+/// Voltage across the conducting switch or diode, in volt: 1.7 V of an IGBT of 650 V and 40 A at 25 A.
 const SWITCH_V: f64 = 1.7;
 
-/// Voltage across the mains rectifier's two diodes, in volt.
-const RECTIFIER_V: f64 = 1.8;
+/// Voltage across the mains rectifier's two diodes, in volt; the resistance in the board's file is fuse's and choke's too, beside the heat sink.
+const RECTIFIER_V: f64 = board::RECTIFIER_MV as f64 * 1e-3;
 
 /// Heat capacity of 0.28 kg of aluminium, in J/K.
 const SINK_J_PER_K: f64 = 250.0;
