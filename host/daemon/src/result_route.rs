@@ -52,7 +52,7 @@ pub async fn route_results(
 /// Counts, stores and publishes a result.
 async fn store_result(learned: LearnResult, devices: &Devices, store: &StoreThread, at_ms: i64) {
     let handle = devices.get(&learned.device);
-    if let Some(handle) = &handle {
+    if let Some(handle) = handle.as_ref().filter(|_| !learned.is_late) {
         let mut inner = handle.record.lock();
         match learned.result.pass {
             true => inner.windows.count(WindowCounter::Learned),

@@ -118,11 +118,11 @@ pub struct WindowCounts {
     pub lost: u64,
     /// Windows that arrived whole and were dropped because the store was too slow or full, or has one of the same boot and number.
     pub not_stored: u64,
-    /// Stored windows that passed the gate.
+    /// Stored windows that passed the gate and were learned from.
     pub learned: u64,
     /// Stored windows that the gate refused.
     pub unfit: u64,
-    /// Stored windows that were dropped from the learner's queue.
+    /// Stored windows that taught nothing: dropped from the learner's queue, or identified too late.
     pub unlearned: u64,
 }
 

@@ -10,7 +10,7 @@ use super::fleet_state::DeliveryState;
 use super::folder::{self, DayFile};
 use super::results::{self, ResultRow};
 use super::windows::Day;
-use super::{EventRow, SessionId, Store, StoreError};
+use super::{DeviceId, EventRow, SessionId, Store, StoreError};
 
 /// Content of a due window.
 #[derive(Clone, Debug)]
@@ -136,6 +136,17 @@ impl Store {
         session
             .optional()
             .map_err(self.failed("looking for a session"))
+    }
+
+    /// Returns the boot of a device's last session; `None` if there was none.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn last_boot(&self, device: DeviceId) -> Result<Option<u32>, StoreError> {
+        let sql = "SELECT boot FROM sessions WHERE device = ?1 ORDER BY id DESC LIMIT 1";
+        let boot = self.records().query_row(sql, [device], |row| row.get(0));
+        boot.optional()
+            .map_err(self.failed("looking for the last boot"))
     }
 
     /// Returns a window of any day; `None` if its samples are not stored.

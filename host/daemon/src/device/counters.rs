@@ -27,7 +27,7 @@ impl DeviceSession<'_> {
             inner.windows.dropped_by_device(windows.dropped_by_device);
         }
         self.report_flood(frames_beyond);
-        let unlearned = self.context.learner.dropped_count(&self.record.name);
+        let unlearned = self.context.learner.unlearned_count(&self.record.name);
         let jumps = {
             let mut inner = self.record.lock();
             inner.windows.set_unlearned(unlearned);

@@ -28,6 +28,8 @@ impl DeviceSession<'_> {
                 .context
                 .learner
                 .add(&self.record.name, learned.as_deref());
+            let boot = self.link.client.hello().boot_id;
+            self.context.learner.begin_boot(&self.record.name, boot);
             if let Err(error) = added {
                 tracing::warn!(device = self.record.name, %error, "what was learned is lost");
                 self.store_event("learned", &error.to_string());

@@ -336,13 +336,16 @@ impl FleetAccess {
         if !learner.has_device(device) {
             // Not connected since the daemon started: its stored learning is restored first.
             let device_id = sent_window.device_id;
-            let learned = self
-                .in_store(move |store| store.learner_state(device_id))
+            let (learned, present) = self
+                .in_store(move |store| {
+                    Ok((store.learner_state(device_id)?, store.last_boot(device_id)?))
+                })
                 .await?;
-            if !learner.has_device(device)
-                && let Err(why) = learner.add(device, learned.as_deref())
-            {
-                tracing::warn!(device, %why, "what was learned is lost");
+            if !learner.has_device(device) {
+                if let Err(why) = learner.add(device, learned.as_deref()) {
+                    tracing::warn!(device, %why, "what was learned is lost");
+                }
+                learner.begin_boot(device, present.unwrap_or(boot));
             }
         }
         let (stored, is_stored) = oneshot::channel();

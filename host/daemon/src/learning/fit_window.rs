@@ -13,7 +13,8 @@ use super::queue::DeviceLearning;
 use super::shared::{Shared, guarded};
 use super::workers::AnswerVerdict;
 
-/// Fits R and L to a window: by a worker's answer if the window confirms it, otherwise by the network here.
+/// Fits R and L to a window: by a worker's answer if the window confirms it, otherwise by the network here. A window that came too late
+/// has a result and teaches nothing.
 pub(super) fn fit_window(
     shared: &Shared,
     device_learning: &mut DeviceLearning,
@@ -25,8 +26,21 @@ pub(super) fn fit_window(
         return result;
     }
     let window = job.input.window();
-    let outcome = (shared.observe)(&mut device_learning.learning, window);
-    WindowResult::from_outcome(window, outcome, job.truth.as_ref())
+    let learning = &mut device_learning.learning;
+    let is_late = match &job.input {
+        // The device sends its windows in their order.
+        LearnInput::Window(_) => !learning.is_present(job.boot),
+        LearnInput::Answered(window, _) => learning.is_late(job.boot, window),
+    };
+    let outcome = match is_late {
+        true => (shared.observe)(&mut learning.clone(), window),
+        false => (shared.observe)(learning, window),
+    };
+    let result = WindowResult::from_outcome(window, outcome, job.truth.as_ref());
+    match is_late {
+        true => result.late(),
+        false => result,
+    }
 }
 
 /// Learns from a worker's answer if the window confirms it; `None` if it does not. The verdict is recorded for the worker either way.
@@ -109,6 +123,8 @@ pub(super) struct WindowResult {
     pub(super) trace: FitTrace,
     pub(super) refused: Option<String>,
     pub(super) update: LookupUpdate,
+    /// `true` if the window came too late to be learned.
+    pub(super) is_late: bool,
     pub(super) busy: Duration,
 }
 
@@ -136,7 +152,21 @@ impl WindowResult {
             trace: FitTrace::new(identified, &findings, truth),
             refused,
             update,
+            is_late: false,
             busy: Duration::ZERO,
+        }
+    }
+
+    /// Takes away what a window would have taught that came too late.
+    fn late(self) -> Self {
+        tracing::info!(
+            seq = self.seq,
+            "a window came too late to update the lookup"
+        );
+        Self {
+            update: LookupUpdate::Unchanged,
+            is_late: true,
+            ..self
         }
     }
 
@@ -162,13 +192,8 @@ impl WindowResult {
         stated
             .remarks
             .extend(answer.findings.iter().map(fit_remark));
-        if answer.seen.is_none() {
-            tracing::info!(
-                seq = window.seq,
-                "an answer came too late to update the lookup"
-            );
-        }
-        Self {
+        let is_late = answer.seen.is_none();
+        let result = Self {
             seq: window.seq,
             half_cycle: window.half_cycle,
             f_sw_hz: window.f_sw_hz,
@@ -176,7 +201,12 @@ impl WindowResult {
             trace: stated.into_trace(answer.confirmed),
             refused: None,
             update: answer.taught,
+            is_late,
             busy,
+        };
+        match is_late {
+            true => result.late(),
+            false => result,
         }
     }
 }

@@ -81,6 +81,8 @@ pub struct LearnResult {
     pub result: NewResult,
     /// Number of times that the device's learning had been forgotten before.
     pub forgotten_count: u64,
+    /// `true` if the window came too late to be learned; the learner has counted it.
+    pub is_late: bool,
     /// New lookup to push; `None` if it has not changed.
     pub new_lookup: Option<Box<BuiltLookup>>,
     /// Reason for which no lookup that a device would accept follows from the window; learning goes on.

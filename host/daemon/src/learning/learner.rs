@@ -138,6 +138,11 @@ impl Learner {
         self.post(device, LearningEvent::DeviceVersion(version));
     }
 
+    /// Sets the device's present boot: after every handshake, and after [`Learner::add`].
+    pub fn begin_boot(&self, device: &str, boot: u32) {
+        self.post(device, LearningEvent::Boot(boot));
+    }
+
     /// Records that the device has accepted a lookup of this learner.
     pub fn lookup_accepted(&self, device: &str, version: u32) {
         self.post(device, LearningEvent::LookupAccepted(version));
@@ -177,9 +182,9 @@ impl Learner {
         dropped
     }
 
-    /// Returns the number of a device's windows that were dropped from the queue.
-    pub fn dropped_count(&self, device: &str) -> u64 {
-        self.shared.lock().queue.dropped_count(device)
+    /// Returns the number of a device's windows that were dropped from the queue or came too late.
+    pub fn unlearned_count(&self, device: &str) -> u64 {
+        self.shared.lock().queue.unlearned_count(device)
     }
 
     /// Serialises the learning of a device; `None` if it is unknown, or a thread is using its learning.

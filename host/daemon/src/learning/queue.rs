@@ -29,6 +29,8 @@ pub enum LearningEvent {
     LookupAccepted(u32),
     /// The device has refused the lookup of this version.
     LookupRefused(u32),
+    /// The device has this boot.
+    Boot(u32),
     /// The load is to be forgotten.
     Forget,
 }
@@ -40,6 +42,7 @@ impl LearningEvent {
             Self::DeviceVersion(version) => learning.set_device_version(version),
             Self::LookupAccepted(version) => learning.lookup_accepted(version),
             Self::LookupRefused(version) => learning.lookup_refused(version),
+            Self::Boot(boot) => learning.begin_boot(boot),
             Self::Forget => learning.forget(),
         }
     }
@@ -131,8 +134,15 @@ impl Queue {
         self.devices.contains_key(device)
     }
 
-    /// Returns the number of a device's windows that were dropped.
-    pub fn dropped_count(&self, device: &str) -> u64 {
+    /// Counts a window that came too late to be learned.
+    pub fn count_late(&mut self, device: &str) {
+        if let Some(slot) = self.devices.get_mut(device) {
+            slot.unlearned += 1;
+        }
+    }
+
+    /// Returns the number of a device's windows that were dropped or came too late.
+    pub fn unlearned_count(&self, device: &str) -> u64 {
         self.devices.get(device).map_or(0, |slot| slot.unlearned)
     }
 

@@ -36,6 +36,9 @@ pub(super) fn settle(
     let (events, forgotten_count) = {
         let mut state = shared.lock();
         state.meter.add_fit(window_result.busy);
+        if window_result.is_late {
+            state.queue.count_late(&job.device);
+        }
         let forgotten_count = state.queue.forgotten_count(&job.device);
         (state.queue.take_events(&job.device), forgotten_count)
     };
@@ -68,6 +71,7 @@ pub(super) fn settle(
             iterations: summary.iterations,
         },
         forgotten_count,
+        is_late: window_result.is_late,
         new_lookup,
         no_lookup,
         state,

@@ -128,7 +128,10 @@ fn a_device_that_sends_much_neither_starves_the_others_nor_costs_them_windows() 
     let seqs: Vec<u32> = dropped.iter().map(|d| d.seq).collect();
     assert_eq!(seqs, (1..=86).collect::<Vec<_>>());
     assert_eq!(
-        (learner.dropped_count("fast"), learner.dropped_count("slow")),
+        (
+            learner.unlearned_count("fast"),
+            learner.unlearned_count("slow")
+        ),
         (86, 0)
     );
     assert_eq!(learner.figures().waiting, 16);
@@ -236,6 +239,46 @@ fn wrong_answers_end_no_thread() {
     assert!(liar.is_distrusted(), "{liar:?}");
     assert_eq!((liar.refuted, liar.distrusted, liar.confirmed), (3, 2, 0));
     assert_eq!(learner.stop().panics, 0);
+}
+
+/// A window of an earlier boot has a result, and what was learned stays as it was.
+#[test]
+fn a_window_of_an_earlier_boot_teaches_nothing() {
+    let observe = |learning: &mut Learning, _: &Window| {
+        learning.begin_boot(99);
+        unfit()
+    };
+    let (to, mut outcomes) = mpsc::channel(8);
+    let learner = Learner::without_threads(settings(1, 8), to, Box::new(observe));
+    let mut learn = |job: LearnJob| {
+        learner.offer(job);
+        assert!(learner.learn_one());
+        outcomes.blocking_recv().expect("an outcome").is_late
+    };
+    learner.add("a", None).unwrap();
+    learner.begin_boot("a", 4);
+    let before = learner.state_of("a");
+    let answer = WorkerAnswer {
+        by: "w".to_owned(),
+        skew_s: None,
+        load: Err("nothing found".to_owned()),
+        busy: Duration::ZERO,
+    };
+    assert!(learn(job("a", window(1))));
+    assert!(learn(LearnJob {
+        input: LearnInput::Answered(window(2), Box::new(answer)),
+        ..job("a", window(0))
+    }));
+    assert_eq!(
+        (learner.state_of("a"), learner.unlearned_count("a")),
+        (before.clone(), 2)
+    );
+    assert!(!learn(LearnJob {
+        boot: 4,
+        ..job("a", window(3))
+    }));
+    assert_ne!(learner.state_of("a"), before);
+    assert_eq!(learner.unlearned_count("a"), 2);
 }
 
 #[test]

@@ -1,21 +1,29 @@
 //! Edge of a fleet, without a server: due windows, and workers' answers, right or wrong.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::{DELEGATION_TIME, FleetConfig, LookupCheck, ReceiveError, ReceiveOutcome};
 use ihd_daemon::learning::WorkerAnswer;
 use ihd_link::Window;
-use ihd_model::DeviceState;
+use ihd_model::{DeviceReport, DeviceState};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
+use ihd_sim::hob::HobConfig;
 use ihd_store::{DeliveryState, DueWindow, OutboxItem, ResultFilter};
 use ihd_train::NetworkConfig;
 use tokio::time::Instant;
 
-use super::rig::{PATIENCE, Rig, nap, power, until_state};
+use super::rig::{PATIENCE, Rig, nap, power, until, until_state};
 
 async fn edge(rig: &Rig) -> Daemon {
+    let daemon = edge_without_hob(rig).await;
+    until_state(&daemon, DeviceState::Idle).await;
+    daemon
+}
+
+async fn edge_without_hob(rig: &Rig) -> Daemon {
     let fleet = FleetConfig {
         url: "nats://127.0.0.1:1".to_owned(),
         edge: Some("kitchen".to_owned()),
@@ -28,9 +36,7 @@ async fn edge(rig: &Rig) -> Daemon {
         fleet: Some(fleet),
         ..rig.config()
     };
-    let daemon = rig.daemon_with(config).await;
-    until_state(&daemon, DeviceState::Idle).await;
-    daemon
+    rig.daemon_with(config).await
 }
 
 /// Heats under a delegation until `count` windows are due at the fleet, then ends the lease.
@@ -264,6 +270,41 @@ fn each(answer: &mut WorkerAnswer, change: impl Fn(&mut f64, &mut f64)) {
     let load = answer.load.as_mut().expect("an honest answer");
     let values = load.r_ohm.iter_mut().zip(&mut load.l_h);
     values.for_each(|(r, l)| change(r, l));
+}
+
+/// Windows of an earlier boot, answered after the hob and then the edge were started again, have results and teach nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_edge_that_was_started_again_learns_nothing_of_an_earlier_boot() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = edge(&rig).await;
+    let mut answers = Vec::new();
+    for due in heat_until_due(&daemon, 2).await {
+        let answer = honest_answer(&daemon, &due).await;
+        answers.push((due.seq, answer));
+        let sent = vec![(due, DeliveryState::Window)];
+        daemon.fleet().mark_sent(sent).await.unwrap();
+    }
+    let before = HobConfig::default().seed as u32;
+    rig.bench().replace(&HobConfig {
+        seed: 77,
+        ..HobConfig::default()
+    });
+    let boot = |r: &DeviceReport| r.identity.as_ref().map(|i| i.boot_id);
+    until(&daemon, |r| boot(r) == Some(77)).await;
+    until_state(&daemon, DeviceState::Idle).await;
+    daemon.stop().await;
+
+    rig.bench().unplugged.store(true, Ordering::Relaxed);
+    let daemon = edge_without_hob(&rig).await;
+    for (seq, answer) in answers {
+        let received = daemon.fleet().receive("bench", before, seq, answer).await;
+        assert_eq!(received.unwrap(), ReceiveOutcome::Stored);
+    }
+    let results = daemon.view().results(ResultFilter::default()).await;
+    for result in results.unwrap() {
+        assert!(result.pass && !result.changed_lookup, "{result:?}");
+    }
+    daemon.stop().await;
 }
 
 /// All due windows were answered before the daemon was restarted on the same day: new ones are due.

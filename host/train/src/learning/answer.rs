@@ -16,7 +16,7 @@ use super::sensors::{SensorEvidence, corrected};
 use super::{Learning, LookupUpdate, judge, network, time_s};
 
 /// Largest age of a window in seconds of device time, against the newest learned one: answers are late and out of order. An older window
-/// may show a pot that has been removed.
+/// may show a pot that has been removed, and one of an earlier boot does so at any age.
 const MAX_AGE_S: f64 = 30.0;
 
 /// Identification and verdict of one window, from its samples alone.
@@ -35,7 +35,7 @@ pub struct WindowAnalysis {
 pub struct ConfirmedAnswer {
     /// Current, χ² and least deviations of the samples at the times of the answer.
     pub confirmed: Confirmation,
-    /// Comparison with the known pot; `None` if the window is too old to be learned.
+    /// Comparison with the known pot; `None` if the window came too late to be learned.
     pub seen: Option<CurveMatch>,
     /// Effect on the lookup.
     pub taught: LookupUpdate,
@@ -118,8 +118,17 @@ impl Learning {
         self.sensors.correction()
     }
 
-    /// Learns from another machine's answer to a window of this boot, if the window's samples confirm it. Windows of one boot may come in
-    /// any order.
+    /// Returns `true` if a window of another machine's answer came too late: it is not of the present boot, or much older than the newest
+    /// one that was learned.
+    pub fn is_late(&self, boot: u32, window: &Window) -> bool {
+        match self.boot {
+            None => false,
+            Some(present) => present != boot || time_s(window) < self.map.newest_s() - MAX_AGE_S,
+        }
+    }
+
+    /// Checks another machine's answer to a window of a boot, and learns from it if the window's samples confirm it and it is not
+    /// [late](Self::is_late). Windows of one boot may come in any order.
     ///
     /// # Errors
     /// [`AnswerError`]; the caller then identifies the window itself ([`Learning::observe`]).
@@ -134,8 +143,12 @@ impl Learning {
         if let Some(fault) = evidence.remarks.first() {
             return Err(AnswerError::Sensors(fault.text.clone()));
         }
+        let is_late = self.is_late(boot, window);
         let mut sensors = self.sensors;
-        let findings = sensors.add(&evidence);
+        let findings = match is_late {
+            true => Vec::new(),
+            false => sensors.add(&evidence),
+        };
         let before = self.sensors.correction();
         if before.is_some() != sensors.correction().is_some() {
             return Err(AnswerError::Outdated);
@@ -155,23 +168,20 @@ impl Learning {
             time_s(window),
         );
         self.sensors = sensors;
-        let newest_s = self.map.newest_s();
-        if self.boot == Some(boot) && newest_s.is_finite() {
-            if curve.t_s < newest_s - MAX_AGE_S {
-                return Ok(ConfirmedAnswer {
-                    confirmed,
-                    seen: None,
-                    taught: LookupUpdate::Unchanged,
-                    findings,
-                });
+        let (seen, taught) = match is_late {
+            true => (None, LookupUpdate::Unchanged),
+            false => {
+                if self.boot == Some(boot) {
+                    curve.t_s = curve.t_s.max(self.map.newest_s());
+                }
+                self.begin_boot(boot);
+                let (seen, taught) = self.learn(curve, false);
+                (Some(seen), taught)
             }
-            curve.t_s = curve.t_s.max(newest_s);
-        }
-        self.boot = Some(boot);
-        let (seen, taught) = self.learn(curve, false);
+        };
         Ok(ConfirmedAnswer {
             confirmed,
-            seen: Some(seen),
+            seen,
             taught,
             findings,
         })

@@ -42,6 +42,9 @@ pub use self::sensors::{SELF_CALIBRATED, SensorEvidence, Sensors, anti_alias_los
 pub use self::significance::Contradiction;
 pub use self::state::StateError;
 
+/// Longest half-cycle of a 60 Hz mains in nanoseconds: that of 55 Hz.
+const MAX_60_HZ_NS: u32 = 9_090_909;
+
 /// State learned from one device's windows: the pot's map, the sensors, and the lookups offered so far.
 #[derive(Clone, Debug)]
 pub struct Learning {
@@ -52,7 +55,7 @@ pub struct Learning {
     /// Network parameters of the last accepted window, from which the next one starts.
     warm: Option<Parameters>,
     builder: LookupBuilder,
-    /// Boot of the device in the last confirmed answer ([`Learning::learn_from_answer`]).
+    /// Present boot of the device; `None` if its caller tells no boots ([`Learning::begin_boot`]).
     boot: Option<u32>,
 }
 
@@ -119,6 +122,19 @@ impl Learning {
         self.builder.set_device_version(version);
     }
 
+    /// Sets the device's present boot, after a handshake. What was learned before is at least as old as the boot.
+    pub fn begin_boot(&mut self, boot: u32) {
+        if self.boot.is_some_and(|before| before != boot) {
+            self.map.rebase(0.0);
+        }
+        self.boot = Some(boot);
+    }
+
+    /// Returns `true` if a window of this boot may show the load of now: the boot is the device's present one, or that is not known.
+    pub fn is_present(&self, boot: u32) -> bool {
+        self.boot.is_none_or(|present| present == boot)
+    }
+
     /// Records that the device has accepted an offered lookup.
     pub fn lookup_accepted(&mut self, version: u32) {
         self.builder.accepted(version);
@@ -137,6 +153,7 @@ impl Learning {
             // The board is the same, and the map keeps the library of other hobs' pots.
             sensors: self.sensors,
             map: self.map.forgotten(),
+            boot: self.boot,
             ..Self::new(self.network.clone())
         };
     }
@@ -255,7 +272,12 @@ impl Learning {
     }
 }
 
-/// Time of a window in seconds since its device's reset.
+/// Time of a window in seconds since its device's reset, by half-cycles of the nominal mains. Those of a window differ from one to the
+/// next by some 1e-4 of them, which after days would be minutes between two windows of the same second.
 fn time_s(window: &Window) -> f64 {
-    1e-9 * f64::from(window.half_cycle) * f64::from(window.half_cycle_ns)
+    let nominal_hz = match window.half_cycle_ns > MAX_60_HZ_NS {
+        true => 50.0,
+        false => 60.0,
+    };
+    f64::from(window.half_cycle) / (2.0 * nominal_hz)
 }

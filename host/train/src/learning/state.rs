@@ -52,6 +52,8 @@ struct Saved {
     lag: Lag,
     #[serde(default)]
     sensors: Sensors,
+    #[serde(default)]
+    boot: Option<u32>,
 }
 
 impl Learning {
@@ -67,6 +69,7 @@ impl Learning {
             map: self.map.state(),
             lag: self.lag,
             sensors: self.sensors,
+            boot: self.boot,
         };
         // Cannot fail: maps have text as keys, and the rest are numbers.
         serde_json::to_vec(&saved).unwrap_or_default()
@@ -105,6 +108,7 @@ impl Learning {
                 refusals: saved.refusals,
                 silence: saved.silence,
             },
+            boot: saved.boot,
             ..Self::new(network)
         })
     }

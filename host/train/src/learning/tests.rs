@@ -525,6 +525,70 @@ fn an_answer_teaches_as_if_it_had_been_found_here() {
     assert_eq!(there.map().curves(), before.curves());
 }
 
+/// Windows with what a worker finds in them, of those that the gate accepts.
+fn answered(kitchen: &mut Kitchen, count: usize) -> Vec<(Window, Identification)> {
+    let windows = std::iter::repeat_with(|| *kitchen.window().0);
+    let found = windows.take(2 * count).filter_map(|window| {
+        let alone = analyse_window(&window, None, network());
+        let identified = alone.identified.filter(|_| alone.refused.is_none());
+        Some((window, *identified?))
+    });
+    found.take(count).collect()
+}
+
+/// The pot of an earlier boot may be gone, whenever its windows are answered and whatever was restarted meanwhile.
+#[test]
+fn an_answer_to_an_earlier_boot_teaches_nothing() {
+    let mut kitchen = Kitchen::new(false, 20);
+    kitchen.client.set_power(1_500).unwrap();
+    let answers: [_; 3] = answered(&mut kitchen, 3).try_into().unwrap();
+    let [first, second, third] = &answers;
+    let mut learning = Learning::new(network());
+    learning.begin_boot(7);
+    let tell = |learning: &mut Learning, boot, (window, found): &(Window, Identification)| {
+        let told = learning.learn_from_answer(boot, window, &claim_of(found));
+        told.unwrap().seen
+    };
+    assert!(tell(&mut learning, 7, first).is_some());
+    learning.begin_boot(8);
+    assert!(learning.map().newest_s() <= 0.0, "older than the new boot");
+    let mut restored = Learning::from_bytes(&learning.to_bytes(), network()).unwrap();
+    for learning in [&mut learning, &mut restored] {
+        let before = learning.to_bytes();
+        assert_eq!(tell(learning, 7, second), None);
+        assert_eq!(learning.to_bytes(), before);
+        assert!(!learning.is_present(7) && learning.is_present(8));
+        assert!(tell(learning, 8, third).is_some());
+        learning.forget();
+        assert_eq!(
+            tell(learning, 7, second),
+            None,
+            "forgotten is the load alone"
+        );
+    }
+}
+
+/// Half-cycles differ by some 1e-4. Two windows of a second are no further apart after a year than at the start.
+#[test]
+fn times_of_a_hob_that_has_been_on_for_long_are_those_between_its_windows() {
+    let mut kitchen = Kitchen::new(false, 20);
+    kitchen.client.set_power(1_500).unwrap();
+    let mut learning = Learning::new(network());
+    let mut newest_s = None;
+    for (k, (mut window, found)) in (0..).zip(answered(&mut kitchen, 4)) {
+        window.half_cycle += 365 * 8_640_000;
+        window.half_cycle_ns = 10_000_000 + [3_700, 0, 7_400, 1_000][k];
+        let told = learning.learn_from_answer(7, &window, &claim_of(&found));
+        assert!(told.unwrap().seen.is_some(), "window {k} is late");
+        let now_s = learning.map().newest_s();
+        let since_s = now_s - newest_s.replace(now_s).unwrap_or(now_s);
+        assert!(
+            (0.0..3.0).contains(&since_s),
+            "window {k}: {since_s} s later"
+        );
+    }
+}
+
 /// Makes a lie of honest R and L, at a place of the half-cycle from -.5 to .5.
 type Lie = fn(f64, &mut f64, &mut f64);
 
