@@ -239,26 +239,6 @@ impl StoreReader {
             .map_err(self.failed("listing results"))
     }
 
-    /// Returns the time at which each of these windows of a device (boot and number) was stored, in milliseconds since 1970, UTC; `None` if
-    /// its day is not between these days, or was deleted.
-    ///
-    /// # Errors
-    /// Errors of the databases.
-    pub fn times_of_windows(
-        &self,
-        device: &str,
-        windows: &[(u32, u32)],
-        (from_ms, to_ms): (i64, i64),
-    ) -> Result<Vec<Option<i64>>, StoreError> {
-        let mut times = vec![None; windows.len()];
-        for day in self.days_between(from_ms, to_ms)? {
-            for (time, stored) in times.iter_mut().zip(day.times(device, windows)?) {
-                *time = time.or(stored);
-            }
-        }
-        Ok(times)
-    }
-
     /// Returns the result of a window; `None` if there is none.
     ///
     /// # Errors

@@ -57,7 +57,7 @@ pub struct ResultRow {
     pub session: SessionId,
     /// Half-cycle since the boot.
     pub half_cycle: u32,
-    /// Time at which it was stored, in milliseconds since 1970, UTC.
+    /// Time at which its window was stored, in milliseconds since 1970, UTC; its own if there is no such window.
     pub at_ms: i64,
     /// Switching frequency, in hertz.
     pub f_sw_hz: u32,
@@ -88,7 +88,7 @@ pub struct ResultRow {
 pub struct ResultFilter {
     /// Only this device's, by its name.
     pub device: Option<String>,
-    /// Only those stored at this time or later, in milliseconds since 1970, UTC.
+    /// Only those of windows stored at this time or later, in milliseconds since 1970, UTC.
     pub since_ms: Option<i64>,
     /// Most rows; 100 if `None`.
     pub limit: Option<u32>,
@@ -184,7 +184,7 @@ fn row(row: &Row<'_>) -> rusqlite::Result<ResultRow> {
 pub struct LastAccepted {
     /// Number of the result.
     pub last: ResultId,
-    /// Time at which it was stored, in milliseconds since 1970, UTC.
+    /// Time at which its window was stored, in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// Its switching frequency, in hertz.
     pub f_sw_hz: u32,
@@ -283,7 +283,10 @@ impl Store {
         let session = self.session(result.session)?;
         let (device, boot) = (session.device, session.boot);
         let name = session.name.clone();
-        let at_ms = self.now();
+        let now_ms = self.now();
+        let at_ms = self
+            .time_of_window(&name, boot, result.seq)
+            .unwrap_or(now_ms);
         let finite = |x: f64| x.is_finite().then_some(x);
         let id = self.change("storing a result", |change| {
             let values = params![
@@ -307,7 +310,7 @@ impl Store {
             ];
             let id = change.query_row(INSERT, values, |row| row.get(0))?;
             if let Some(state) = learner_state {
-                put_state(change, "learned", device, at_ms, state)?;
+                put_state(change, "learned", device, now_ms, state)?;
             }
             Ok(id)
         })?;
@@ -316,6 +319,15 @@ impl Store {
             self.drop_samples(&name, boot, result.seq, SampleDropReason::Uninformative);
         }
         Ok(id)
+    }
+
+    /// Time at which a window was stored; `None` if its day is gone or cannot be read.
+    fn time_of_window(&self, device: &str, boot: u32, seq: u32) -> Option<i64> {
+        let time = self.on_newest_day(|day| day.time(device, boot, seq));
+        time.unwrap_or_else(|error| {
+            tracing::warn!("{error}");
+            None
+        })
     }
 
     /// Returns results, newest first.

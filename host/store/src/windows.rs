@@ -194,26 +194,17 @@ impl Day {
         exists.map_err(self.failed("looking for a window"))
     }
 
-    /// Returns the time at which each of these windows of a device (boot and number) was stored; `None` if it is not of this day.
-    pub(crate) fn times(
+    /// Returns the time at which a window of a device was stored; `None` if it is not of this day.
+    pub(crate) fn time(
         &self,
         device: &str,
-        windows: &[(u32, u32)],
-    ) -> Result<Vec<Option<i64>>, StoreError> {
-        let read = || {
-            let mut statement = self.connection.prepare(
-                "SELECT at_ms FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3",
-            )?;
-            let mut time = |(boot, seq): &(u32, u32)| {
-                let time = statement.query_row(params![device, boot, seq], |row| row.get(0));
-                time.optional()
-            };
-            windows
-                .iter()
-                .map(&mut time)
-                .collect::<rusqlite::Result<_>>()
-        };
-        read().map_err(self.failed("looking for windows"))
+        boot: u32,
+        seq: u32,
+    ) -> Result<Option<i64>, StoreError> {
+        let sql = "SELECT at_ms FROM windows WHERE device = ?1 AND boot = ?2 AND seq = ?3";
+        let of = params![device, boot, seq];
+        let time = self.connection.query_row(sql, of, |row| row.get(0));
+        time.optional().map_err(self.failed("looking for a window"))
     }
 
     /// Returns the windows that match a filter, in order of device, boot and number.

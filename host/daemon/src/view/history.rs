@@ -1,14 +1,11 @@
 //! History of a device: telemetry and results over minutes to months.
 
 use ihd_model::{History, HistoryResults};
-use ihd_store::{ResultRow, StoreError, StoreReader};
+use ihd_store::ResultRow;
 
 use super::{View, finite};
 use crate::error::DaemonError;
 use crate::history::{ColumnGrid, Columns};
-
-/// Longest time from a window to its result, in milliseconds: the learner's queue is short.
-const MAX_WAIT_MS: i64 = 600_000;
 
 impl View {
     /// Returns the history of a device from `from_ms` to `to_ms` (milliseconds since 1970, UTC) in at most `columns`
@@ -36,30 +33,11 @@ impl View {
                 filled.add(span);
             }
             let span_ms = (grid.from_s * 1_000, to_ms.max(from_ms));
-            let (of, mut rows) =
-                reader.results_between(device, span_ms, columns.clamp(1, 4_000))?;
-            set_window_times(reader, device, span_ms, &mut rows)?;
+            let (of, rows) = reader.results_between(device, span_ms, columns.clamp(1, 4_000))?;
             Ok(filled.history((from_ms, to_ms), results(of, &rows)))
         })
         .await
     }
-}
-
-/// Sets the time of each result to that of its window, because a result may be stored much later. A result whose window
-/// is unknown keeps its own time.
-fn set_window_times(
-    reader: &StoreReader,
-    device: &str,
-    (from_ms, to_ms): (i64, i64),
-    rows: &mut [ResultRow],
-) -> Result<(), StoreError> {
-    let windows: Vec<_> = rows.iter().map(|row| (row.boot, row.seq)).collect();
-    let days = (from_ms.saturating_sub(MAX_WAIT_MS), to_ms);
-    let times = reader.times_of_windows(device, &windows, days)?;
-    for (row, time) in rows.iter_mut().zip(times) {
-        row.at_ms = time.unwrap_or(row.at_ms);
-    }
-    Ok(())
 }
 
 fn results(of: u64, rows: &[ResultRow]) -> HistoryResults {

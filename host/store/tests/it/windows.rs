@@ -265,6 +265,29 @@ fn results_are_as_they_were_given_newest_first() {
     assert_eq!(all(&nobody), []);
 }
 
+/// A worker's answer may come days after its window.
+#[test]
+fn a_result_has_the_time_of_its_window() {
+    let folder = tempfile::tempdir().unwrap();
+    let clock = SetClock::at(NOON_MS);
+    let opened = Store::open_with_clock(folder.path(), &StoreOptions::default(), clock.clock());
+    let mut store = opened.unwrap().store;
+    let session = session(&mut store);
+    for seq in 1..=3 {
+        store.keep_window(session, &sized(seq, 300)).unwrap();
+        clock.forward(DAY_MS);
+    }
+    // Of the last one there is no window: it has its own time.
+    for seq in [2, 1, 3, 4] {
+        store.record_result(&result(session, seq), None).unwrap();
+    }
+    let rows = store.results(&ResultFilter::default()).unwrap();
+    let days = rows
+        .iter()
+        .map(|row| (row.seq, (row.at_ms - NOON_MS) / DAY_MS));
+    assert!(days.eq([(4, 3), (3, 2), (2, 1), (1, 0)]), "{rows:?}");
+}
+
 #[test]
 fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
     let folder = tempfile::tempdir().unwrap();
