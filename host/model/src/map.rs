@@ -35,7 +35,7 @@ pub struct Map {
     pub sigma_l_pct: Option<Vec<Vec<f64>>>,
     /// Confidence of each cell: from 0, no window has measured it, to 1, many have; `None` if unknown.
     pub confidence: Option<Vec<Vec<f64>>>,
-    /// Seconds since the last accepted result near the cell; `None` if there was none.
+    /// Seconds since the window of the last accepted result near the cell; `None` if there was none, or none of this lookup's pot.
     pub age_s: Vec<Vec<Option<f64>>>,
 }
 

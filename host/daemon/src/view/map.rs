@@ -51,7 +51,7 @@ fn map(
     version: u32,
     row: Option<&LookupRow>,
     certainty: Option<&Certainty>,
-    age_s: Vec<Vec<Option<f64>>>,
+    mut age_s: Vec<Vec<Option<f64>>>,
 ) -> Option<Map> {
     if version == 0 {
         let map = Map {
@@ -60,7 +60,7 @@ fn map(
             why: "built into the firmware".to_owned(),
             ..Map::default()
         };
-        return Some(fill(map, &prior(), age_s));
+        return Some(fill(map, &prior(), vec![vec![None; CURRENTS]; FREQUENCIES]));
     }
     let row = row?;
     // The store checks lookups before writing them.
@@ -68,6 +68,12 @@ fn map(
     let [sigma_r_pct, sigma_l_pct] = certainty
         .and_then(Certainty::sigma_pct)
         .map_or([None, None], |sigma| sigma.map(Some));
+    let confidence = certainty.map(Certainty::confidence);
+    let cells = age_s.iter_mut().flatten();
+    for (age_s, confidence) in cells.zip(confidence.iter().flatten().flatten()) {
+        // Without confidence the last result there was of a pot before this one.
+        *age_s = age_s.filter(|_| *confidence > 0.0);
+    }
     let map = Map {
         version,
         state: row.state.to_string(),
@@ -76,7 +82,7 @@ fn map(
         why: row.why.clone(),
         sigma_r_pct,
         sigma_l_pct,
-        confidence: certainty.map(Certainty::confidence),
+        confidence,
         ..Map::default()
     };
     Some(fill(map, &lookup, age_s))
@@ -171,7 +177,7 @@ impl<'a> MapRow<'a> {
 mod tests {
     use std::f64::consts::PI;
 
-    use ihd_store::LastAccepted;
+    use ihd_store::{LastAccepted, LookupState};
 
     use super::super::cell_ages::CellAges;
     use super::*;
@@ -214,6 +220,33 @@ mod tests {
         let falling = power_w(&|i_a| 20.0 / i_a.max(0.1).sqrt());
         let exact = 2.0 * 20.0 * 60.0_f64.powf(1.5) / (3.0 * PI);
         assert!((falling / exact - 1.0).abs() < 2e-3, "{falling} {exact}");
+    }
+
+    #[test]
+    fn a_cell_that_the_lookup_does_not_know_has_no_age() {
+        let lookup = RlLookup {
+            version: 3,
+            ..prior()
+        };
+        let row = LookupRow {
+            device: "bench".to_owned(),
+            version: 3,
+            state: LookupState::Active,
+            origin: "host".to_owned(),
+            at_ms: 0,
+            why: String::new(),
+            blob: lookup.to_bytes().to_vec(),
+        };
+        let mut confidence = [[0.0; CURRENTS]; FREQUENCIES];
+        confidence[2][3] = 0.1;
+        let certainty = Certainty::quantise(&confidence, &[[[0.01; CURRENTS]; FREQUENCIES]; 2]);
+        let ages = || vec![vec![Some(7.0); CURRENTS]; FREQUENCIES];
+        let map = |version, certainty| map(version, Some(&row), certainty, ages()).unwrap();
+        let known = map(3, Some(&certainty));
+        assert_eq!(known.age_s[2][3], Some(7.0));
+        assert_eq!(known.age_s.iter().flatten().flatten().count(), 1);
+        assert_eq!(map(0, None).age_s.iter().flatten().flatten().count(), 0);
+        assert_eq!(map(3, None).age_s, ages(), "pushed by hand: nobody knows");
     }
 
     #[test]
