@@ -73,12 +73,16 @@ fn booted_housekeeping(boot_id: u32, reason: ResetReason, starts: u8) -> Houseke
     let mut hello = ours(ROLE_DEVICE, CAP_SIMULATED, boot_id, build, "simulated hob");
     hello.reset_reason = reason as u8;
     let mut housekeeping = Housekeeping::new(hello);
-    housekeeping.set_identity(DeviceIdentity {
+    housekeeping.set_identity(identity(starts));
+    housekeeping
+}
+
+fn identity(starts: u8) -> DeviceIdentity {
+    DeviceIdentity {
         option_bytes: OPTION_BYTES,
         starts,
         ..DeviceIdentity::default()
-    });
-    housekeeping
+    }
 }
 
 /// Simulated hob.
@@ -521,6 +525,14 @@ impl SimHob {
     /// If there is no model of it.
     pub fn map_truth(&self, progress: &mut dyn FnMut(f64)) -> Result<MapTruth, InverterError> {
         self.plant.map_truth(progress)
+    }
+
+    /// Gives it the number of a chip, as a board has one, until its next restart.
+    pub fn set_chip(&mut self, chip: [u8; 12]) {
+        self.housekeeping.set_identity(DeviceIdentity {
+            chip: Some(chip),
+            ..identity(self.starts)
+        });
     }
 
     /// The firmware's housekeeping, for inspection by tests.

@@ -23,7 +23,7 @@ const WINDOWS_ID: i32 = i32::from_be_bytes(*b"IHDw");
 pub static RECORDS: Schema = Schema {
     application_id: RECORDS_ID,
     steps: &[
-        RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4, RECORDS_5, RECORDS_6,
+        RECORDS_1, RECORDS_2, RECORDS_3, RECORDS_4, RECORDS_5, RECORDS_6, RECORDS_7,
     ],
     tables: &[
         &[
@@ -34,6 +34,7 @@ pub static RECORDS: Schema = Schema {
         &["used"],
         &[],
         &["alloys"],
+        &[],
     ],
     shrinks: false,
     synchronous: "FULL",
@@ -265,6 +266,11 @@ CREATE TABLE alloys (
     at_ms  INTEGER NOT NULL,
     state  BLOB NOT NULL                   -- JSON of the thermometer's own
 ) STRICT;
+";
+
+const RECORDS_7: &str = "
+-- Number of the chip of the board that was there last, in hexadecimal; NULL where none was told.
+ALTER TABLE devices ADD COLUMN chip TEXT;
 ";
 
 const WINDOWS_4: &str = "

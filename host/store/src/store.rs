@@ -207,6 +207,33 @@ impl Store {
         })
     }
 
+    /// Records the number of a device's chip. If it was another one before, the learner's state is deleted, the device's lookups are
+    /// superseded, and the number before is returned.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn set_chip(&mut self, device: DeviceId, chip: &str) -> Result<Option<String>, StoreError> {
+        let at_ms = self.now();
+        self.change("storing a chip's number", |change| {
+            let sql = "SELECT chip FROM devices WHERE id = ?1";
+            let before: Option<String> = change.query_row(sql, [device], |row| row.get(0))?;
+            if before.as_deref() == Some(chip) {
+                return Ok(None);
+            }
+            let row = params![device, chip];
+            change.execute("UPDATE devices SET chip = ?2 WHERE id = ?1", row)?;
+            if before.is_some() {
+                change.execute("DELETE FROM learned WHERE device = ?1", [device])?;
+                change.execute(
+                    "UPDATE lookups SET state = 'superseded', at_ms = ?2
+                     WHERE device = ?1 AND state IN ('active', 'pending')",
+                    params![device, at_ms],
+                )?;
+            }
+            Ok(before)
+        })
+    }
+
     /// Begins a session, after the handshake of a connection.
     ///
     /// # Errors

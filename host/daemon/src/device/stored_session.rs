@@ -1,6 +1,12 @@
 //! Session of a device in the store.
 
+use std::sync::Arc;
+
+use ihd_link::Client;
+use ihd_store::{DeviceId, Store, StoreError};
+
 use super::session::{DeviceSession, SessionEnd, StoredIds};
+use crate::learning::Learner;
 use crate::store_thread::StoreAccess;
 
 impl DeviceSession<'_> {
@@ -9,9 +15,14 @@ impl DeviceSession<'_> {
         let (name, address) = (self.record.name.clone(), self.record.address.clone());
         let hello = self.link.client.hello().clone();
         let front_end = self.link.client.front_end().clone();
+        let chip = self.chip().await;
+        let learner = Arc::clone(&self.context.learner);
         let is_resumed = self.record.lock().is_resumed;
         let began = self.store_wait.run(move |store| {
             let device = store.device(&name, &address)?;
+            if let Some(chip) = chip {
+                recognise_board(store, &learner, (&name, device), &chip)?;
+            }
             let session = store.begin_session(device, &hello, &front_end)?;
             let (learned, alloys) = match is_resumed {
                 true => (None, None),
@@ -47,6 +58,17 @@ impl DeviceSession<'_> {
         self.record.store_event(self.store(), kind, text);
     }
 
+    /// Returns the number of the device's chip; `None` if it has none, or does not tell it.
+    async fn chip(&mut self) -> Option<String> {
+        let facts = self.link.request(Client::board).await.ok()?;
+        let chip: String = facts
+            .chip
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
+        (!chip.is_empty()).then_some(chip)
+    }
+
     /// Returns access to the store in this device's lane.
     pub(super) fn store(&self) -> StoreAccess {
         self.context.store.of_device(&self.record.name)
@@ -66,4 +88,21 @@ impl DeviceSession<'_> {
         }
         Ok(())
     }
+}
+
+/// Forgets what was learned under the name of a device if that was another board.
+fn recognise_board(
+    store: &mut Store,
+    learner: &Learner,
+    (name, device): (&str, DeviceId),
+    chip: &str,
+) -> Result<(), StoreError> {
+    let Some(before) = store.set_chip(device, chip)? else {
+        return Ok(());
+    };
+    learner.forget_board(name);
+    let text =
+        format!("another board, chip {chip}: what was learned of chip {before} is forgotten");
+    tracing::warn!(device = name, text);
+    store.event(Some(device), "learned", &text)
 }

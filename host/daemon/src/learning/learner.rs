@@ -163,6 +163,11 @@ impl Learner {
         self.post(device, LearningEvent::Forget);
     }
 
+    /// Forgets the load and the sensors of a device, which is another board.
+    pub fn forget_board(&self, device: &str) {
+        self.post(device, LearningEvent::Board);
+    }
+
     fn post(&self, device: &str, event: LearningEvent) {
         self.shared.lock().queue.post(device, event);
     }

@@ -33,6 +33,8 @@ pub enum LearningEvent {
     Boot(u32),
     /// The load is to be forgotten.
     Forget,
+    /// The device is another board: load and sensors are to be forgotten.
+    Board,
 }
 
 impl LearningEvent {
@@ -44,7 +46,13 @@ impl LearningEvent {
             Self::LookupRefused(version) => learning.lookup_refused(version),
             Self::Boot(boot) => learning.begin_boot(boot),
             Self::Forget => learning.forget(),
+            Self::Board => learning.forget_board(),
         }
+    }
+
+    /// Returns `true` if lookups of before are not to reach the device.
+    pub fn forgets(self) -> bool {
+        matches!(self, Self::Forget | Self::Board)
     }
 }
 
@@ -89,7 +97,7 @@ struct Slot {
     /// Waiting windows, each with its place in the order of all.
     jobs: VecDeque<(u64, LearnJob)>,
     unlearned: u64,
-    /// Number of [`LearningEvent::Forget`] so far.
+    /// Number of events so far that [forget](LearningEvent::forgets).
     forgotten: u64,
 }
 
@@ -154,7 +162,7 @@ impl Queue {
     /// Applies an event to a device's learning, now or after its current window.
     pub fn post(&mut self, device: &str, event: LearningEvent) {
         if let Some(slot) = self.devices.get_mut(device) {
-            slot.forgotten += u64::from(event == LearningEvent::Forget);
+            slot.forgotten += u64::from(event.forgets());
             match &mut slot.device_learning {
                 Some(device_learning) => event.apply(&mut device_learning.learning),
                 None => slot.events.push(event),

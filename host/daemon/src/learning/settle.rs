@@ -9,7 +9,7 @@ use tokio::sync::mpsc::error::TrySendError;
 
 use super::fit_window::WindowResult;
 use super::job::{LearnJob, LearnResult};
-use super::queue::{DeviceLearning, LearningEvent};
+use super::queue::DeviceLearning;
 use super::shared::Shared;
 
 /// Longest time between two saves of a device's learning to the store while its lookup does not change.
@@ -44,7 +44,7 @@ pub(super) fn settle(
     };
     for event in events {
         event.apply(&mut device_learning.learning);
-        if event == LearningEvent::Forget {
+        if event.forgets() {
             new_lookup = None;
         }
     }

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use ihd_firmware::link::conversation::{Conversation, RequestOrder};
+use ihd_firmware::link::identity::DeviceIdentity;
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{RATED_POWER_W, REQUESTED_POWER_MAX_W};
 use ihd_shared::lookup::{LOOKUP_VERSION_STEP, RlLookup, prior::prior};
@@ -229,6 +230,7 @@ impl ScriptedHob {
             }
             AnyMessage::GetStatus(_) => self.send_status(),
             AnyMessage::GetFrontEnd(_) => self.send_front_end(),
+            AnyMessage::GetBoard(_) => self.send(&DeviceIdentity::default().message()),
             AnyMessage::ReadLookup(_) => {
                 let blob = self.lookup.to_bytes();
                 self.send(&LookupBlob { blob: Raw(&blob) });

@@ -1,11 +1,13 @@
 //! Lookups on the device and in the store agree after any sequence of events.
 
+use std::sync::atomic::Ordering;
+
 use ihd_daemon::Daemon;
 use ihd_model::{Command, DeviceState, EventKind};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_sim::hob::HobConfig;
-use ihd_store::{LookupState, Store};
+use ihd_store::{JournalFilter, LookupState, Store};
 
 use super::rig::{Rig, command_stored, until, until_state, wait_for_event};
 
@@ -91,6 +93,56 @@ async fn a_device_that_lost_its_lookup_gets_it_again() {
     })
     .await;
     assert_eq!(report.lookup.active, Some(7));
+    daemon.stop().await;
+}
+
+/// Puts a hob without a lookup, of this seed and chip, in place of the one that is there.
+async fn swap(rig: &Rig, daemon: &Daemon, seed: u64, chip: u8) {
+    rig.bench().unplugged.store(true, Ordering::Relaxed);
+    until_state(daemon, DeviceState::Searching).await;
+    rig.bench().replace(&HobConfig {
+        seed,
+        ..HobConfig::default()
+    });
+    rig.bench().hob().set_chip([chip; 12]);
+    rig.bench().unplugged.store(false, Ordering::Relaxed);
+    until(daemon, |r| {
+        let boot = r.identity.as_ref().map(|i| i.boot_id);
+        boot == Some(seed as u32) && r.state == DeviceState::Idle
+    })
+    .await;
+}
+
+/// The chip's number tells a board that has lost its lookup from another one under its name.
+#[tokio::test(flavor = "multi_thread")]
+async fn another_board_does_not_get_the_lookup_of_the_one_before() {
+    use LookupState::{Active, Superseded};
+    let rig = Rig::new(&["bench"]);
+    rig.bench().hob().set_chip([1; 12]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    push(&daemon, &lookup(7, 3)).await;
+    until(&daemon, |r| r.lookup.active == Some(7)).await;
+    swap(&rig, &daemon, 98, 1).await;
+    until(&daemon, |r| r.lookup.on_device == Some(7)).await;
+    swap(&rig, &daemon, 99, 2).await;
+    let report = until(&daemon, |r| r.lookup.active == Some(0)).await;
+    assert_eq!(report.lookup.on_device, Some(0));
+    let rows = states(&daemon).await;
+    assert!(
+        rows.iter()
+            .all(|row| matches!(row, (0, Active) | (7, Superseded))),
+        "{rows:?}"
+    );
+    let filter = JournalFilter {
+        kind: Some("learned".to_owned()),
+        ..JournalFilter::default()
+    };
+    let told = daemon.view().journal(filter).await.unwrap();
+    assert!(
+        told.len() == 1 && told[0].text.contains("another board"),
+        "{told:?}"
+    );
     daemon.stop().await;
 }
 

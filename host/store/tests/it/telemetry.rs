@@ -203,7 +203,8 @@ fn a_day_of_an_earlier_ihd_is_read_and_brought_up_to_date() {
             folder.path().join("ihd.db"),
             "DROP INDEX events_in_time; DROP INDEX audit_in_time;
              ALTER TABLE lookups DROP COLUMN confidence; ALTER TABLE lookups DROP COLUMN sigma; DROP TABLE fleet;
-             DROP TABLE used; DROP TABLE alloys;",
+             DROP TABLE used; DROP TABLE alloys;
+             ALTER TABLE devices DROP COLUMN chip;",
         ),
     ] {
         let connection = Connection::open(path).unwrap();

@@ -1,6 +1,7 @@
 //! Windows are read back as stored, once, bit for bit.
 
 use ihd_link::Window;
+use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{Pair, Scales};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
@@ -286,6 +287,28 @@ fn a_result_has_the_time_of_its_window() {
         .iter()
         .map(|row| (row.seq, (row.at_ms - NOON_MS) / DAY_MS));
     assert!(days.eq([(4, 3), (3, 2), (2, 1), (1, 0)]), "{rows:?}");
+}
+
+#[test]
+fn what_was_learned_of_a_board_ends_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut store = open(folder.path(), &StoreOptions::default());
+    let session = session(&mut store);
+    let device = store.device("bench", "elsewhere").unwrap();
+    store
+        .record_result(&result(session, 1), Some(b"state"))
+        .unwrap();
+    store.adopt_lookup(device, &prior()).unwrap();
+    // Whose it is was not known; then it is the same board's.
+    for chip in ["0a", "0a"] {
+        assert_eq!(store.set_chip(device, chip).unwrap(), None);
+        assert!(store.learner_state(device).unwrap().is_some());
+        assert!(store.lookup("bench", None).unwrap().is_some());
+    }
+    assert_eq!(store.set_chip(device, "0b").unwrap().as_deref(), Some("0a"));
+    assert_eq!(store.learner_state(device).unwrap(), None);
+    assert_eq!(store.lookup("bench", None).unwrap(), None, "none is active");
+    assert_eq!(store.set_chip(device, "0b").unwrap(), None);
 }
 
 #[test]

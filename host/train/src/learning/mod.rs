@@ -158,6 +158,12 @@ impl Learning {
         };
     }
 
+    /// Forgets the load and the sensors: the device is another board.
+    pub fn forget_board(&mut self) {
+        self.forget();
+        self.sensors = Sensors::default();
+    }
+
     /// Sets the library of pots that other hobs know, for use with a pot that is new here. It is no part of [`Learning::to_bytes`] and must
     /// be set again after [`Learning::from_bytes`].
     pub fn use_library(&mut self, library: Arc<Library>) {
