@@ -92,10 +92,10 @@ limits! {
     /// Consecutive blocks with the estimate below resonance or at its bound that open both switches: 0.3 to 0.7 ms, more than the
     /// estimator takes to settle.
     ESTIMATE_BLOCKS: u8 = 8, "blocks";
-    /// Turn-off current that power control keeps, relative to the need of the node's charge within the dead time.
-    TURN_OFF_PERCENT: u32 = 150, "%";
+    /// Turn-off current that power control keeps, relative to what brings the node to the other rail within the dead time.
+    TURN_OFF_PERCENT: i32 = 150, "%";
     /// Least turn-off current; a shortage of [`SOFT_TURN_OFF_SHORTAGE_MA`] raises the frequency.
-    SOFT_TURN_OFF_PERCENT: u32 = 115, "%";
+    SOFT_TURN_OFF_PERCENT: i32 = 115, "%";
     /// Shortage of turn-off current, summed over blocks for each switch, that raises the frequency: a turn-off at zero current at
     /// 325 V has it after six blocks (0.2 to 0.5 ms, at most 36 edges of 1 mJ), a lead by 26 A after one.
     SOFT_TURN_OFF_SHORTAGE_MA: i32 = 32_000, "mA·blocks";

@@ -4,18 +4,18 @@
 //! - pairs whose current or coil voltage is out of the ordinary;
 //! - resonance: ωL of the block's fundamental, Im(V·I*)/|I|², against the capacitor's reactance;
 //! - the current at which either switch turned off, against what the node's capacitance needs within
-//!   the dead time: I = C·V/t.
+//!   the dead time, in which the current falls ([`turn_off_need_ma`]).
 //!
 //! No single sample acts: that is the comparator's, which sees no converter's noise. What a block lacks is summed
 //! over blocks, never below zero, and acts from a sum on that the physics bears: a hard edge heats a switch by 1 mJ at
 //! most, a crest above the soft limit is below the trip. A large shortage acts after one block, one that is near
 //! nothing after many, and noise about a sound current adds up to nothing.
 //!
-//! The samples are locked to the carrier, so the one after each turn-off is known: of 61 over three
-//! periods, the 51st begins 1/122 of a period after the upper switch's and the 41st 1/61 after the lower
-//! one's, and is held 0.18 µs later (trigger, latency, sampling time). Less the anti-alias filter's 0.3 µs they
-//! show the current from 0.04 µs before the turn-off, where it is larger and [`SOFT_TURN_OFF_PERCENT`] has room
-//! for it, to 0.34 µs after it, where it is smaller and the limit acts early.
+//! The samples are locked to the carrier, so those about each turn-off are known: of 61 over three
+//! periods, the 51st begins 1/122 of a period after the upper switch's, the first at the lower one's and the 41st 1/61
+//! after it: their mean is of 1/122, too. They are held 0.18 µs later (trigger, latency, sampling time). Less the anti-alias
+//! filter's 0.3 µs they show the current from 0.02 µs before the turn-off (80 kHz) to 0.12 µs after it (34 kHz), where it is smaller
+//! and the limit acts early.
 
 use core::f64::consts::{PI, TAU};
 
@@ -34,15 +34,16 @@ use crate::limits::{
     SOFT_RESONANCE_SHORTAGE_PERCENT, SOFT_SWITCHING_FROM_DV, SOFT_TURN_OFF_PERCENT,
     SOFT_TURN_OFF_SHORTAGE_MA,
 };
-use crate::sense::correlation::BlockSums;
+use crate::sense::correlation::{BlockSums, TABLE_BITS};
 
-/// Samples after the turn-off of upper and lower switch.
+/// Samples after the turn-off of the upper switch, at and after the lower one's.
 const AFTER_UPPER: usize = 51;
+const AT_LOWER: usize = 0;
 const AFTER_LOWER: usize = 41;
 
 const _: () = assert!(
-    // Positions in the period, in 1/61: 31 and 1.
-    (3 * AFTER_UPPER) % ADC_LOCK_P == 31 && (3 * AFTER_LOWER) % ADC_LOCK_P == 1
+    // Positions in the period, in 1/61: 31, 0 and 1.
+    (3 * AFTER_UPPER) % ADC_LOCK_P == 31 && AT_LOWER == 0 && (3 * AFTER_LOWER) % ADC_LOCK_P == 1
 );
 
 /// Below this amplitude of the block's current resonance is not checked: 3 A.
@@ -88,10 +89,23 @@ const SHIFT: u32 = 10;
 /// Milliampere that the node needs at a bus of one decivolt, in 1/1024: C/t = nF/ns·1e3 mA/V.
 const NEED_MA_PER_DV_Q10: u32 = NODE_CAPACITANCE_NF * 1_000 * 1_024 / 10 / DEAD_TIME_NS;
 
-/// Current that must flow at a turn-off for the node to reach the other rail within the dead time, in
-/// milliampere, at a bus voltage in decivolt.
-pub fn turn_off_need_ma(bus_dv: u16) -> u32 {
-    (u32::from(bus_dv) * NEED_MA_PER_DV_Q10) >> 10
+/// Angle of half the dead time at one hertz, in radian: a sine falls by so much of its part in phase with the bridge.
+const HALF_DEAD_TIME_RAD_PER_HZ: f64 = PI * DEAD_TIME_NS as f64 * 1e-9;
+
+/// Fall of the current in half the dead time after a turn-off, in milliampere: ½·ω·t of its part in phase with the bridge, which
+/// is at its steepest there.
+pub fn half_dead_time_fall_ma(f_sw_hz: u32, in_phase_ma: i64) -> i32 {
+    const RAD_PER_HZ_Q32: i64 = (HALF_DEAD_TIME_RAD_PER_HZ * 4_294_967_296.0) as i64;
+    ((i64::from(f_sw_hz) * RAD_PER_HZ_Q32 * (in_phase_ma >> 4)) >> 28) as i32
+}
+
+/// Current that must flow at a turn-off for the node to stand at the other rail when the dead time ends, in milliampere, at a bus
+/// voltage in decivolt and with a current that falls by so much in half of it.
+///
+/// Its mean is that of the middle: I − fall = C·V/t moves the charge; and from I = 2·fall on it does not turn back before the end.
+pub fn turn_off_need_ma(bus_dv: u16, fall_ma: i32) -> i32 {
+    let charge_ma = ((u32::from(bus_dv) * NEED_MA_PER_DV_Q10) >> 10) as i32;
+    charge_ma.max(fall_ma) + fall_ma
 }
 
 /// The checks of one frequency.
@@ -99,6 +113,8 @@ pub fn turn_off_need_ma(bus_dv: u16) -> u32 {
 pub struct SoftLimits {
     /// Capacitor's reactance with the margin, times ampere per volt of a code, in 1/65536.
     reactance_q16: i64,
+    /// Fall of the current in half the dead time per sum of its part in phase, in milliampere and 2^-32.
+    fall_q32: i32,
     /// |I|²·X_C that is missing over the last blocks, in codes.
     resonance_shortage: i64,
     /// Turn-off current that is missing over the last blocks, of upper and lower switch, in milliampere.
@@ -122,6 +138,7 @@ impl SoftLimits {
     pub(crate) const fn blank() -> Self {
         Self {
             reactance_q16: 0,
+            fall_q32: 0,
             resonance_shortage: 0,
             turn_off_shortage_ma: [0; 2],
             i_above: 0,
@@ -139,10 +156,15 @@ impl SoftLimits {
             / (100 - SOFT_RESONANCE_PERCENT) as f64) as u64;
         /// 2π in milliohm per hertz and picohenry, 2π·1e-9, in 2^-40.
         const OMEGA_Q40: u64 = 6_908;
+        /// Milliampere of the fall per hertz and sum: an amplitude A sums to A·61/2 in 14 bits.
+        const FALL_Q44: u64 = (HALF_DEAD_TIME_RAD_PER_HZ * AMPERE_PER_CODE * 2e3
+            / (ADC_LOCK_P as f64)
+            * (1_u64 << (44 - TABLE_BITS)) as f64) as u64;
         let x_c_mohm =
             (((u64::from(f_sw_hz) * u64::from(l_min.0.unsigned_abs())) >> 8) * OMEGA_Q40) >> 32;
         *self = Self {
             reactance_q16: ((x_c_mohm * PER_MOHM_Q32) >> 16) as i64,
+            fall_q32: ((u64::from(f_sw_hz) * FALL_Q44) >> 12) as i32,
             hold: SOFT_HOLD_BLOCKS,
             ..Self::blank()
         };
@@ -176,7 +198,7 @@ impl SoftLimits {
             Limit::CoilVoltage
         } else if self.is_near_resonance(sums) {
             Limit::Resonance
-        } else if turn_off.is_some_and(|turn_off| self.is_too_little(turn_off, bus_dv)) {
+        } else if turn_off.is_some_and(|turn_off| self.is_too_little(turn_off, sums, bus_dv)) {
             Limit::SoftSwitching
         } else {
             Limit::None
@@ -208,8 +230,10 @@ impl SoftLimits {
     }
 
     /// Adds what either switch's turn-off current lacks.
-    fn is_too_little(&mut self, turn_off_ma: [i32; 2], bus_dv: u16) -> bool {
-        let need_ma = (turn_off_need_ma(bus_dv) * SOFT_TURN_OFF_PERCENT / 100) as i32;
+    fn is_too_little(&mut self, turn_off_ma: [i32; 2], sums: &BlockSums, bus_dv: u16) -> bool {
+        // The part in phase with the bridge is −Im.
+        let fall_ma = -((i64::from(sums.i.im) * i64::from(self.fall_q32)) >> 32) as i32;
+        let need_ma = turn_off_need_ma(bus_dv, fall_ma) * SOFT_TURN_OFF_PERCENT / 100;
         let [upper_ma, lower_ma] = turn_off_ma;
         let [upper_sum, lower_sum] = self.turn_off_shortage_ma;
         if upper_sum | lower_sum == 0 && upper_ma.min(lower_ma) >= need_ma {
@@ -238,10 +262,9 @@ fn turn_off_ma(pairs: &[Pair; ADC_LOCK_P]) -> [i32; 2] {
     /// Milliampere per code, in 1/256.
     const MA_PER_CODE_Q8: i32 = (AMPERE_PER_CODE * 256_000.0) as i32;
     let ma = |code: i32| (code * MA_PER_CODE_Q8) >> 8;
-    [
-        ma(i32::from(pairs[AFTER_UPPER].i)),
-        ma(-i32::from(pairs[AFTER_LOWER].i)),
-    ]
+    let [upper, at_lower, after_lower] =
+        [AFTER_UPPER, AT_LOWER, AFTER_LOWER].map(|k| i32::from(pairs[k].i));
+    [ma(upper), -ma(at_lower + after_lower) / 2]
 }
 
 #[cfg(test)]

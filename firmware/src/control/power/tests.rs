@@ -114,8 +114,9 @@ fn a_load_near_resonance_sends_the_frequency_up() {
         ..HalfCycle::default()
     };
     let next = search(&mut control, &summary, 2_000_000, &prior());
-    // 8 kHz away from resonance, and further still: saturated, this load takes 70 A at 49 kHz.
-    assert!((48_000..52_000).contains(&next.0), "{next:?}");
+    // 8 kHz away from resonance, and further still: saturated to 2.75 ohm and 12.1 µH, this load takes 70 A at 49 kHz, which fall by 22 A in
+    // the dead time: 1.5 times that flow at the turn-off from 52 kHz on.
+    assert!((48_000..54_000).contains(&next.0), "{next:?}");
 }
 
 /// The oracle: bisection over the whole range at once, then the measurement's bounds.
