@@ -8,7 +8,8 @@ export class Api {
   }
 
   async ask(path, options = {}) {
-    const headers = { 'ihd-holder': 'the test', ...this.headers, ...options.headers };
+    // A connection of its own: a kept one may be closed by the daemon, as idle, while a slow test sends.
+    const headers = { connection: 'close', 'ihd-holder': 'the test', ...this.headers, ...options.headers };
     const answer = await fetch(`${this.base}${path}`, { ...options, headers });
     const text = await answer.text();
     return { status: answer.status, body: text && answer.headers.get('content-type')?.includes('json') ? JSON.parse(text) : text };
