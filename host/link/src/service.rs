@@ -40,6 +40,14 @@ pub struct BoardFacts {
     pub chip: Vec<u8>,
 }
 
+impl BoardFacts {
+    /// Returns the number of the chip in hexadecimal; empty if there is no chip.
+    pub fn chip_number(&self) -> String {
+        let digits = self.chip.iter().map(|byte| format!("{byte:02x}"));
+        digits.collect()
+    }
+}
+
 impl From<&Board<'_>> for BoardFacts {
     fn from(board: &Board<'_>) -> Self {
         Self {

@@ -61,12 +61,7 @@ impl DeviceSession<'_> {
     /// Returns the number of the device's chip; `None` if it has none, or does not tell it.
     async fn chip(&mut self) -> Option<String> {
         let facts = self.link.request(Client::board).await.ok()?;
-        let chip: String = facts
-            .chip
-            .iter()
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
-        (!chip.is_empty()).then_some(chip)
+        Some(facts.chip_number()).filter(|number| !number.is_empty())
     }
 
     /// Returns access to the store in this device's lane.

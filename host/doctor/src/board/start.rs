@@ -99,17 +99,12 @@ fn chip(facts: &BoardFacts) -> Check {
     if facts.id_code == 0 {
         return Check::not_tested(NAME, "the device has no chip: it is simulated");
     }
-    let number: String = facts
-        .chip
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect();
     let finding = format!(
         "id {:#05x}, revision {:#06x}, {} KiB of flash, number {}",
         facts.id_code & 0xFFF,
         facts.id_code >> 16,
         facts.flash_kib,
-        number
+        facts.chip_number()
     );
     let numbers = vec![
         Measurement::informative("starts since power-on", facts.starts.into(), ""),
