@@ -36,11 +36,7 @@ pub(super) fn fit_window(
         true => (shared.observe)(&mut learning.clone(), window),
         false => (shared.observe)(learning, window),
     };
-    let result = WindowResult::from_outcome(window, outcome, job.truth.as_ref());
-    match is_late {
-        true => result.late(),
-        false => result,
-    }
+    WindowResult::from_outcome(window, outcome, job.truth.as_ref()).unless_late(is_late)
 }
 
 /// Learns from a worker's answer if the window confirms it; `None` if it does not. The verdict is recorded for the worker either way.
@@ -157,15 +153,18 @@ impl WindowResult {
         }
     }
 
-    /// Takes away what a window would have taught that came too late.
-    fn late(self) -> Self {
+    /// Takes away what the window would have taught if it came too late.
+    fn unless_late(self, is_late: bool) -> Self {
+        if !is_late {
+            return self;
+        }
         tracing::info!(
             seq = self.seq,
             "a window came too late to update the lookup"
         );
         Self {
             update: LookupUpdate::Unchanged,
-            is_late: true,
+            is_late,
             ..self
         }
     }
@@ -192,7 +191,6 @@ impl WindowResult {
         stated
             .remarks
             .extend(answer.findings.iter().map(fit_remark));
-        let is_late = answer.seen.is_none();
         let result = Self {
             seq: window.seq,
             half_cycle: window.half_cycle,
@@ -201,12 +199,9 @@ impl WindowResult {
             trace: stated.into_trace(answer.confirmed),
             refused: None,
             update: answer.taught,
-            is_late,
+            is_late: false,
             busy,
         };
-        match is_late {
-            true => result.late(),
-            false => result,
-        }
+        result.unless_late(answer.seen.is_none())
     }
 }
