@@ -190,7 +190,7 @@ mod tests {
         assert_eq!(config.listen.to_string(), "127.0.0.1:9");
         assert_eq!(config.store.to_str(), Some("there"));
         assert_eq!(config.devices.len(), 1, "nobody else's hob heats by itself");
-        assert_eq!(config.devices[0].name, DEVICE);
+        assert_eq!(config.devices[0].name, "simulated");
         assert!(!config.discovers_usb());
     }
 }
