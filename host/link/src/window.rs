@@ -44,6 +44,17 @@ impl Window {
         0.5e9 / f64::from(self.half_cycle_ns)
     }
 
+    /// Pairs in the bytes of the wire.
+    pub fn pair_bytes(&self) -> Vec<u8> {
+        self.pairs.iter().flat_map(|p| p.to_le_bytes()).collect()
+    }
+
+    /// Entries of the trajectory in the bytes of the wire.
+    pub fn trajectory_bytes(&self) -> Vec<u8> {
+        let entries = self.trajectory.iter();
+        entries.flat_map(|entry| entry.to_le_bytes()).collect()
+    }
+
     /// Converts the pairs to an estimator's input; time counts from the mains zero crossing.
     pub fn segment(&self) -> Segment {
         Segment {

@@ -1,13 +1,12 @@
 //! R(t) and L(t) of a stored window, thinned: the network's result, and the truth if it is known.
 
 use rusqlite::{OptionalExtension, Row, params};
-use zstd::bulk::{Compressor, Decompressor};
-use zstd::zstd_safe::CParameter;
+use zstd::bulk::Decompressor;
 
 use serde::{Deserialize, Serialize};
 
 use super::windows::Day;
-use super::{SessionId, Store, StoreError};
+use super::{SessionId, Store, StoreError, payload};
 
 /// Most points of a stored curve.
 pub const MAX_POINTS: usize = 128;
@@ -93,9 +92,7 @@ impl StoredCurve {
         }
         let values = columns.iter().flat_map(|column| column.iter());
         let bytes: Vec<u8> = values.flat_map(|x| (*x as f32).to_le_bytes()).collect();
-        let mut compressor = Compressor::new(LEVEL)?;
-        compressor.set_parameter(CParameter::ChecksumFlag(true))?;
-        compressor.compress(&bytes).map(Some)
+        payload::compressor(LEVEL)?.compress(&bytes).map(Some)
     }
 
     fn unpack(bytes: &[u8], points: usize) -> Result<Self, String> {

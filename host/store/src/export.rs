@@ -272,9 +272,7 @@ impl Frames {
     }
 
     fn window(&mut self, window: &Window) -> std::io::Result<()> {
-        let pairs: Vec<u8> = window.pairs.iter().flat_map(|p| p.to_le_bytes()).collect();
-        let entries = window.trajectory.iter();
-        let trajectory: Vec<u8> = entries.flat_map(|entry| entry.to_le_bytes()).collect();
+        let (pairs, trajectory) = (window.pair_bytes(), window.trajectory_bytes());
         let seq = window.seq;
         self.send(&start(window)?)?;
         for (k, data) in pairs.chunks(CHUNK_BYTES).enumerate() {

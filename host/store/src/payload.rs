@@ -6,8 +6,7 @@ use ihd_shared::window::{PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
 use zstd::bulk::{Compressor, Decompressor};
 use zstd::zstd_safe::CParameter;
 
-/// zstd's level: the higher ones take several times as long for a few percent of such noise
-/// (docs/daemon.md has the figures).
+/// zstd's level: the higher ones take several times as long for a few percent of such noise.
 const LEVEL: i32 = 1;
 
 /// Most entries that are unpacked; a row that declares more is an error.
@@ -21,19 +20,22 @@ pub struct Payload {
     pub trajectory: Vec<u8>,
 }
 
-/// Packs a window's pairs and trajectory, each with zstd's own checksum: SQLite has none.
+/// Compressor of a level of zstd, with zstd's own checksum: SQLite has none.
+pub fn compressor(level: i32) -> std::io::Result<Compressor<'static>> {
+    let mut compressor = Compressor::new(level)?;
+    compressor.set_parameter(CParameter::ChecksumFlag(true))?;
+    Ok(compressor)
+}
+
+/// Packs a window's pairs and trajectory.
 ///
 /// # Errors
 /// Errors of zstd, which means a lack of memory.
 pub fn pack(window: &Window) -> std::io::Result<Payload> {
-    let mut compressor = Compressor::new(LEVEL)?;
-    compressor.set_parameter(CParameter::ChecksumFlag(true))?;
-    let pairs: Vec<u8> = window.pairs.iter().flat_map(|p| p.to_le_bytes()).collect();
-    let entries = window.trajectory.iter();
-    let trajectory: Vec<u8> = entries.flat_map(|entry| entry.to_le_bytes()).collect();
+    let mut compressor = compressor(LEVEL)?;
     Ok(Payload {
-        pairs: compressor.compress(&pairs)?,
-        trajectory: compressor.compress(&trajectory)?,
+        pairs: compressor.compress(&window.pair_bytes())?,
+        trajectory: compressor.compress(&window.trajectory_bytes())?,
     })
 }
 

@@ -15,9 +15,6 @@ pub const CELLS: usize = FREQUENCIES * CURRENTS;
 /// Lowest frequency of the grid, in hertz.
 pub const F_MIN_HZ: u32 = 30_000;
 
-/// Highest frequency of the grid, in hertz.
-pub const F_MAX_HZ: u32 = 80_000;
-
 /// The current that sets the axis' bend, in milliampere.
 pub const I_BEND_MA: u32 = 5_000;
 
@@ -96,8 +93,8 @@ pub fn current_a(knot: usize) -> f64 {
     CURRENT_KNOTS_A[knot.min(CURRENTS - 1)]
 }
 
-/// 30 kHz · (8/3)^(k/7); tests compare with the formula.
-const FREQUENCY_KNOTS_HZ: [f64; FREQUENCIES] = [
+/// Frequency of each knot, in hertz: 30 kHz · (8/3)^(k/7); tests compare with the formula.
+pub const FREQUENCY_KNOTS_HZ: [f64; FREQUENCIES] = [
     30000.0,
     34512.302213634364,
     39703.30013617438,
@@ -108,8 +105,8 @@ const FREQUENCY_KNOTS_HZ: [f64; FREQUENCIES] = [
     80000.0,
 ];
 
-/// 5 A · (17^(k/16) − 1); tests compare with the formula.
-pub(super) const CURRENT_KNOTS_A: [f64; CURRENTS] = [
+/// Current of each knot, in ampere: 5 A · (17^(k/16) − 1); tests compare with the formula.
+pub const CURRENT_KNOTS_A: [f64; CURRENTS] = [
     0.0,
     0.9686080719195012,
     2.124856463236524,

@@ -61,6 +61,18 @@ impl RlLookup {
         }
     }
 
+    /// R of each cell, [frequency][current], in ohm.
+    pub fn r_ohm(&self) -> [[f64; CURRENTS]; FREQUENCIES] {
+        self.r
+            .map(|row| row.map(|code| f64::from(code) * OHM_PER_CODE))
+    }
+
+    /// L of each cell, [frequency][current], in henry.
+    pub fn l_h(&self) -> [[f64; CURRENTS]; FREQUENCIES] {
+        self.l
+            .map(|row| row.map(|code| f64::from(code) * HENRY_PER_CODE))
+    }
+
     /// Returns `true` if the cell rests on observations.
     pub fn is_observed(&self, frequency: usize, current: usize) -> bool {
         let cell = frequency * CURRENTS + current;

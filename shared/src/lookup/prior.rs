@@ -7,7 +7,8 @@
 
 use super::grid::{CURRENT_KNOTS_A, CURRENTS, FREQUENCIES};
 use super::{HENRY_PER_CODE, OBSERVED_BYTES, OHM_PER_CODE, RlLookup};
-use crate::hob::TURNS_RATIO;
+use crate::hob::{F_SW_MAX_HZ, TURNS_RATIO};
+use crate::units::{MicroOhm, PicoHenry};
 
 /// R at 45 kHz by current knot, in lookup codes.
 const R_AT_45K: [u16; CURRENTS] = at_45k(3.0, 4.0, 9.0, OHM_PER_CODE);
@@ -53,6 +54,11 @@ pub const fn prior() -> RlLookup {
         l,
         observed: [0; OBSERVED_BYTES],
     }
+}
+
+/// R and L that the estimator expects before it has seen a load: the prior's at the probe frequency, without current.
+pub fn start_load() -> (MicroOhm, PicoHenry) {
+    prior().interpolate(F_SW_MAX_HZ, 0)
 }
 
 #[cfg(test)]

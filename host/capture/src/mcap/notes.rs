@@ -3,8 +3,7 @@
 use ihd_link::{ClientCounters, Window, WindowDefect};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
-use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
+use ihd_shared::lookup::grid::{CURRENT_KNOTS_A, FREQUENCY_KNOTS_HZ};
 use ihd_shared::sampling::ADC_LOCK_Q;
 use ihd_shared::wire::messages;
 
@@ -85,18 +84,14 @@ pub fn window(w: &Window, zero_crossing_s: f64) -> WindowNote {
 /// Converts a lookup from its bytes; `None` if they are invalid.
 pub fn lookup(what: &str, blob: &[u8]) -> Option<LookupRecord> {
     let lookup = RlLookup::from_bytes(blob).ok()?;
-    let scaled = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
-        let row = |row: &[u16; CURRENTS]| row.iter().map(|&c| f64::from(c) * unit).collect();
-        cells.iter().map(row).collect()
-    };
     Some(LookupRecord {
         what: what.to_owned(),
         version: lookup.version,
         observed_cells: lookup.observed_cells(),
-        f_sw_hz: (0..FREQUENCIES).map(frequency_hz).collect(),
-        i_a: (0..CURRENTS).map(current_a).collect(),
-        r_ohm: scaled(&lookup.r, OHM_PER_CODE),
-        l_h: scaled(&lookup.l, HENRY_PER_CODE),
+        f_sw_hz: FREQUENCY_KNOTS_HZ.to_vec(),
+        i_a: CURRENT_KNOTS_A.to_vec(),
+        r_ohm: lookup.r_ohm().map(Vec::from).into(),
+        l_h: lookup.l_h().map(Vec::from).into(),
     })
 }
 

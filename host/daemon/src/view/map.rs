@@ -4,9 +4,9 @@ use std::f64::consts::{FRAC_PI_2, TAU};
 
 use ihd_model::Map;
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
-use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::grid::{CURRENT_KNOTS_A, CURRENTS, FREQUENCIES, FREQUENCY_KNOTS_HZ};
 use ihd_shared::lookup::prior::prior;
-use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
 use ihd_signal::interpolation::linear;
 use ihd_store::{Certainty, LookupRow};
 
@@ -89,27 +89,21 @@ fn map(
 }
 
 fn fill(map: Map, lookup: &RlLookup, age_s: Vec<Vec<Option<f64>>>) -> Map {
-    let f_sw_hz: Vec<f64> = (0..FREQUENCIES).map(frequency_hz).collect();
-    let i_a: Vec<f64> = (0..CURRENTS).map(current_a).collect();
-    let table = |value: &dyn Fn(usize, usize) -> f64| -> Vec<Vec<f64>> {
-        let row = |f: usize| (0..CURRENTS).map(|i| value(f, i)).collect();
-        (0..FREQUENCIES).map(row).collect()
+    let (r_ohm, l_h) = (lookup.r_ohm(), lookup.l_h());
+    let power_w = |f: usize| {
+        let load = |i: usize| (r_ohm[f][i], l_h[f][i]);
+        let row = MapRow::new(FREQUENCY_KNOTS_HZ[f], &CURRENT_KNOTS_A, load);
+        (0..CURRENTS).map(|i| row.mean_power_w(i)).collect()
     };
-    let r_ohm = |f: usize, i: usize| f64::from(lookup.r[f][i]) * OHM_PER_CODE;
-    let l_h = |f: usize, i: usize| f64::from(lookup.l[f][i]) * HENRY_PER_CODE;
-    let rows: Vec<_> = (0..FREQUENCIES)
-        .map(|f| MapRow::new(f_sw_hz[f], &i_a, |i| (r_ohm(f, i), l_h(f, i))))
-        .collect();
-    let power_w = table(&|f, i| rows[f].mean_power_w(i));
     let observed = |f: usize| (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect();
     Map {
-        r_ohm: table(&r_ohm),
-        l_h: table(&l_h),
-        power_w,
+        r_ohm: r_ohm.map(Vec::from).into(),
+        l_h: l_h.map(Vec::from).into(),
+        power_w: (0..FREQUENCIES).map(power_w).collect(),
         observed: (0..FREQUENCIES).map(observed).collect(),
         age_s,
-        f_sw_hz,
-        i_a,
+        f_sw_hz: FREQUENCY_KNOTS_HZ.to_vec(),
+        i_a: CURRENT_KNOTS_A.to_vec(),
         ..map
     }
 }
@@ -268,7 +262,7 @@ mod tests {
         for (f, row) in age.iter().enumerate() {
             for (i, age) in row.iter().enumerate() {
                 let expected = match (f, i) {
-                    (2 | 3, 0..=10) if current_a(i - usize::from(i > 0)) < 20.0 => Some(1.0),
+                    (2 | 3, 0..=10) if CURRENT_KNOTS_A[i - usize::from(i > 0)] < 20.0 => Some(1.0),
                     (2 | 3, _) => Some(1.5),
                     _ => None,
                 };

@@ -77,12 +77,8 @@ impl WindowMessage {
             lookup_version: window.lookup_version,
             v_full_scale_mv: window.scales.v_full_scale_mv,
             i_full_scale_ma: window.scales.i_full_scale_ma,
-            pairs: window.pairs.iter().flat_map(|p| p.to_le_bytes()).collect(),
-            trajectory: window
-                .trajectory
-                .iter()
-                .flat_map(|t| t.to_le_bytes())
-                .collect(),
+            pairs: window.pair_bytes(),
+            trajectory: window.trajectory_bytes(),
         })
     }
 

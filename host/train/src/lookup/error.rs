@@ -1,6 +1,5 @@
 //! Errors of a lookup against the truth, over the cells that the hob reaches.
 
-use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
 use ihd_signal::truth::MapTruth;
 use serde::Serialize;
 
@@ -55,13 +54,13 @@ pub struct LookupAccuracy {
 /// Compares every reached cell, as quantised for the device, with its truth; by rising frequency and current.
 pub fn judge_cells(built: &BuiltLookup, truth: &MapTruth) -> Vec<JudgedCell> {
     let mut judged = Vec::with_capacity(truth.reached());
+    let (all_r_ohm, all_l_h) = (built.lookup.r_ohm(), built.lookup.l_h());
     for (frequency, row) in truth.cells.iter().enumerate() {
         for (current, is) in row.iter().enumerate() {
             let Some(is) = is else { continue };
             let cell = &built.cells[frequency][current];
             let pct = |x: f64, is: f64| 100.0 * x / is;
-            let r_ohm = f64::from(built.lookup.r[frequency][current]) * OHM_PER_CODE;
-            let l_h = f64::from(built.lookup.l[frequency][current]) * HENRY_PER_CODE;
+            let (r_ohm, l_h) = (all_r_ohm[frequency][current], all_l_h[frequency][current]);
             judged.push(JudgedCell {
                 frequency,
                 current,

@@ -3,8 +3,7 @@
 use std::path::Path;
 
 use ihd_map::MapCell;
-use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
-use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE};
+use ihd_shared::lookup::grid::{CURRENT_KNOTS_A, CURRENTS, FREQUENCIES, FREQUENCY_KNOTS_HZ};
 use serde::Serialize;
 
 use super::TrainerError;
@@ -19,10 +18,10 @@ pub fn save(store: &Path, built: &BuiltLookup) -> Result<(), TrainerError> {
     struct Readable<'a> {
         version: u32,
         observed_cells: u32,
-        f_sw_hz: Vec<f64>,
-        i_a: Vec<f64>,
-        r_ohm: Vec<Vec<f64>>,
-        l_h: Vec<Vec<f64>>,
+        f_sw_hz: [f64; FREQUENCIES],
+        i_a: [f64; CURRENTS],
+        r_ohm: [[f64; CURRENTS]; FREQUENCIES],
+        l_h: [[f64; CURRENTS]; FREQUENCIES],
         confidence: &'a [[f64; CURRENTS]],
         /// Relative standard deviations.
         r_sigma: Vec<Vec<f64>>,
@@ -30,12 +29,6 @@ pub fn save(store: &Path, built: &BuiltLookup) -> Result<(), TrainerError> {
         /// Seconds since a cell was observed last; `None` if it never was.
         age_s: Vec<Vec<Option<f64>>>,
     }
-    let cells = |cells: &[[u16; CURRENTS]; FREQUENCIES], unit: f64| {
-        cells
-            .iter()
-            .map(|row| row.iter().map(|&c| f64::from(c) * unit).collect())
-            .collect()
-    };
     let of = |number: fn(&MapCell) -> f64| {
         built
             .cells
@@ -47,10 +40,10 @@ pub fn save(store: &Path, built: &BuiltLookup) -> Result<(), TrainerError> {
     let readable = Readable {
         version: lookup.version,
         observed_cells: lookup.observed_cells(),
-        f_sw_hz: (0..FREQUENCIES).map(frequency_hz).collect(),
-        i_a: (0..CURRENTS).map(current_a).collect(),
-        r_ohm: cells(&lookup.r, OHM_PER_CODE),
-        l_h: cells(&lookup.l, HENRY_PER_CODE),
+        f_sw_hz: FREQUENCY_KNOTS_HZ,
+        i_a: CURRENT_KNOTS_A,
+        r_ohm: lookup.r_ohm(),
+        l_h: lookup.l_h(),
         confidence: &built.confidence(),
         r_sigma: of(|cell| cell.value.r_sigma),
         l_sigma: of(|cell| cell.value.l_sigma),

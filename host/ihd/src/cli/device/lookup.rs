@@ -7,8 +7,8 @@ use std::str::FromStr;
 
 use anyhow::{Context, Result};
 use ihd_model::Command;
-use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES, current_a, frequency_hz};
-use ihd_shared::lookup::{HENRY_PER_CODE, OHM_PER_CODE, RlLookup};
+use ihd_shared::lookup::RlLookup;
+use ihd_shared::lookup::grid::{CURRENT_KNOTS_A, CURRENTS, FREQUENCIES, FREQUENCY_KNOTS_HZ};
 use serde_json::{Value, json};
 
 use super::hob::Hob;
@@ -113,18 +113,15 @@ pub(super) fn show(hob: &mut Hob, json: bool) -> Result<()> {
 }
 
 fn cells(lookup: &RlLookup) -> Value {
-    let row = |codes: &[u16; CURRENTS], unit: f64| -> Vec<f64> {
-        codes.iter().map(|code| f64::from(*code) * unit).collect()
-    };
     let observed =
         |f: usize| -> Vec<bool> { (0..CURRENTS).map(|i| lookup.is_observed(f, i)).collect() };
     json!({
         "version": lookup.version,
         "observed_cells": lookup.observed_cells(),
-        "frequency_hz": (0..FREQUENCIES).map(frequency_hz).collect::<Vec<_>>(),
-        "current_a": (0..CURRENTS).map(current_a).collect::<Vec<_>>(),
-        "r_ohm": lookup.r.iter().map(|r| row(r, OHM_PER_CODE)).collect::<Vec<_>>(),
-        "l_h": lookup.l.iter().map(|l| row(l, HENRY_PER_CODE)).collect::<Vec<_>>(),
+        "frequency_hz": FREQUENCY_KNOTS_HZ,
+        "current_a": CURRENT_KNOTS_A,
+        "r_ohm": lookup.r_ohm(),
+        "l_h": lookup.l_h(),
         "observed": (0..FREQUENCIES).map(observed).collect::<Vec<_>>(),
     })
 }
@@ -143,20 +140,18 @@ fn table(lookup: &RlLookup) -> String {
         lookup.observed_cells(),
         FREQUENCIES * CURRENTS
     );
-    for (name, codes, unit) in [
-        ("R in ohm", &lookup.r, OHM_PER_CODE),
-        ("L in µH", &lookup.l, HENRY_PER_CODE * 1e6),
-    ] {
+    let l_uh = lookup.l_h().map(|row| row.map(|l_h| l_h * 1e6));
+    for (name, cells) in [("R in ohm", lookup.r_ohm()), ("L in µH", l_uh)] {
         text += &format!("{name:<10}");
         for &i in &shown {
-            text += &format!("{:>8.1} A", current_a(i));
+            text += &format!("{:>8.1} A", CURRENT_KNOTS_A[i]);
         }
         text.push('\n');
-        for (f, row) in codes.iter().enumerate() {
-            text += &format!("{:>6.1} kHz", frequency_hz(f) * 1e-3);
+        for (f, row) in cells.iter().enumerate() {
+            text += &format!("{:>6.1} kHz", FREQUENCY_KNOTS_HZ[f] * 1e-3);
             for &i in &shown {
                 let star = if lookup.is_observed(f, i) { '*' } else { ' ' };
-                text += &format!("{:>9.3}{star}", f64::from(row[i]) * unit);
+                text += &format!("{:>9.3}{star}", row[i]);
             }
             text.push('\n');
         }
