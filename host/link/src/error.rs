@@ -120,6 +120,21 @@ pub enum LinkError {
     Recording(io::Error),
 }
 
+impl LinkError {
+    /// Returns `true` if a cable, a power switch or a reset may be the cause, so that a new link is worth a try.
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Connect { .. }
+            | Self::Closed { .. }
+            | Self::Io { .. }
+            | Self::NoAnswer { .. } => true,
+            // A reset device has forgotten the handshake.
+            Self::Refused { outcome, .. } => *outcome == Outcome::NotPaired,
+            _ => false,
+        }
+    }
+}
+
 /// Describes a device's outcome. `detail` is the reply's detail; its meaning depends on the outcome.
 pub fn outcome_text(outcome: Outcome, detail: u32) -> String {
     match outcome {

@@ -29,6 +29,6 @@ pub use learning::{Learning, judge};
 #[cfg(feature = "pinn")]
 pub use trainer::{
     NetworkConfig, OperatingPoint, PointReport, RecordedHalfCycle, RunFailure, RunOptions,
-    RunProgress, RunReport, SETTLE_WITHIN, SETTLED_AFTER, TrainerError, TrainingSource,
-    TruthSource, WINDOWS_EVERY, run,
+    RunProgress, RunReport, SETTLE_WITHIN, Steadiness, TrainerError, TrainingSource, TruthSource,
+    WINDOWS_EVERY, run,
 };

@@ -10,9 +10,8 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::wire::messages::{State, Telemetry};
-use ihd_train::{SETTLE_WITHIN, SETTLED_AFTER};
+use ihd_train::{SETTLE_WITHIN, Steadiness};
 use tokio::time::Instant;
 
 /// Windows at each power.
@@ -52,8 +51,7 @@ struct Settling {
     /// `true` once telemetry has shown a requested power.
     is_shown: bool,
     is_waiting: bool,
-    steady: u32,
-    f_sw_hz: u32,
+    steadiness: Steadiness,
 }
 
 /// Action that a sweep requests.
@@ -121,8 +119,7 @@ impl SweepState {
             heating: Duration::ZERO,
             is_shown: false,
             is_waiting: false,
-            steady: 0,
-            f_sw_hz: 0,
+            steadiness: Steadiness::default(),
         });
         SweepStep::SetPower(power_w)
     }
@@ -200,7 +197,7 @@ impl Settling {
         self.last = now;
         if matches!(t.state, State::WaitingForPot | State::Pausing) {
             let first = !std::mem::replace(&mut self.is_waiting, true);
-            self.steady = 0;
+            self.steadiness.reset();
             return (
                 false,
                 first.then(|| format!("sweep: {:?} at {asked_w} W", t.state)),
@@ -218,23 +215,7 @@ impl Settling {
                 )),
             );
         }
-        // Low powers are reached by bursts; this half-cycle lies between two.
-        if t.state != State::Heating || t.f_sw_hz == 0 {
-            return (false, None);
-        }
-        self.steady = match t.f_sw_hz == self.f_sw_hz {
-            true => self.steady + 1,
-            false => 0,
-        };
-        self.f_sw_hz = t.f_sw_hz;
-        let power_w = f64::from(t.power_mw) * 1e-3;
-        let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
-        let at_limit = t.f_sw_hz <= F_SW_MIN_HZ || t.f_sw_hz >= F_SW_MAX_HZ;
-        // A power beyond what the load can take settles at a frequency limit, or at the resonance margin with a constant
-        // frequency.
-        let settled = self.steady >= SETTLED_AFTER
-            && (close || at_limit || self.steady >= 10 * SETTLED_AFTER);
-        (settled, None)
+        (self.steadiness.add(t, asked_w), None)
     }
 }
 

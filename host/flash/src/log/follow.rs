@@ -5,7 +5,6 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use ihd_link::LinkError;
-use ihd_shared::wire::messages::Outcome;
 
 use super::decoder::{Decoded, Decoder};
 use super::find::{Places, TableLookupError};
@@ -40,15 +39,7 @@ impl LogError {
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Reset { .. } => true,
-            Self::Link(
-                LinkError::Connect { .. }
-                | LinkError::Closed { .. }
-                | LinkError::Io { .. }
-                | LinkError::NoAnswer { .. },
-            ) => true,
-            // A reset device has forgotten the handshake.
-            Self::Link(LinkError::Refused { outcome, .. }) => *outcome == Outcome::NotPaired,
-            Self::Link(_) => false,
+            Self::Link(why) => why.may_pass(),
             Self::Probe(
                 ProgramError::NotFound { .. }
                 | ProgramError::Open { .. }

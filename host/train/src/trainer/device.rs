@@ -13,8 +13,6 @@ use super::{RunProgress, TrainerError};
 
 mod operating_point;
 
-pub use self::operating_point::{SETTLE_WITHIN, SETTLED_AFTER};
-
 /// Half-cycles between two windows: a window of 57 kB takes 140 ms on a link of 400 kB/s.
 pub const WINDOWS_EVERY: u8 = 20;
 

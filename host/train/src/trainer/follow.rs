@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use ihd_link::{DeviceEvent, LinkError, Window};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{OffReason, Outcome, State, Telemetry};
+use ihd_shared::wire::messages::{OffReason, State, Telemetry};
 
 use super::run::Run;
 use super::{OperatingPoint, RunProgress, TrainerError};
@@ -199,17 +199,7 @@ enum Boot {
 fn is_cut(why: &TrainerError) -> bool {
     match why {
         TrainerError::Silent { .. } => true,
-        TrainerError::Link(why) => matches!(
-            why,
-            LinkError::Connect { .. }
-                | LinkError::Closed { .. }
-                | LinkError::Io { .. }
-                | LinkError::NoAnswer { .. }
-                | LinkError::Refused {
-                    outcome: Outcome::NotPaired,
-                    ..
-                }
-        ),
+        TrainerError::Link(why) => why.may_pass(),
         _ => false,
     }
 }

@@ -9,12 +9,14 @@ mod point;
 mod progress;
 mod run;
 mod source;
+mod steadiness;
 mod store;
 
-pub use self::device::{SETTLE_WITHIN, SETTLED_AFTER, TruthSource, WINDOWS_EVERY};
+pub use self::device::{TruthSource, WINDOWS_EVERY};
 pub use self::error::{RunFailure, TrainerError};
 pub use self::point::PointReport;
 pub use self::progress::RunProgress;
 pub use self::run::{RunOptions, RunReport, run};
 pub use self::source::{OperatingPoint, RecordedHalfCycle, TrainingSource};
+pub use self::steadiness::{SETTLE_WITHIN, Steadiness};
 pub use ihd_pinn::PinnConfig as NetworkConfig;

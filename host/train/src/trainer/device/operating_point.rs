@@ -2,23 +2,16 @@
 
 use std::time::Duration;
 
-use ihd_firmware::drive::pwm;
 use ihd_link::{DeviceEvent, Window};
 use ihd_shared::fault::Fault;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::messages::{State, Telemetry};
 
 use super::{Device, TIMEOUT};
+use crate::trainer::steadiness::{SETTLE_WITHIN, Steadiness};
 use crate::trainer::{OperatingPoint, RecordedHalfCycle, RunProgress, TrainerError};
 
-/// Half-cycles at one frequency after which it counts as settled.
-pub const SETTLED_AFTER: u32 = 5;
-
-/// Longest time for an operating point to settle while it heats, in half-cycles of 50 Hz mains: the device's time, since a simulated hob
-/// on a busy machine is slower than the host's clock.
-pub const SETTLE_WITHIN: Duration = Duration::from_secs(6);
-
-/// Half-cycle of 50 Hz mains.
+/// Heating time that a half-cycle counts for: the device's time, since a simulated hob on a busy machine is slower than the host's clock.
 const HALF_CYCLE: Duration = Duration::from_millis(10);
 
 /// Heating state of a half-cycle.
@@ -36,8 +29,7 @@ impl Device<'_> {
     pub fn settle(&mut self, asked_w: u16) -> Result<(u32, u16), TrainerError> {
         let asked_w = self.request_power(asked_w)?;
         let point = OperatingPoint::Heating { asked_w };
-        let mut steady = 0;
-        let mut f_sw_hz = 0;
+        let mut steadiness = Steadiness::default();
         let mut last_telemetry = self.client()?.clock();
         let mut half_cycle = None;
         let mut heated = Duration::ZERO;
@@ -55,7 +47,7 @@ impl Device<'_> {
                 .half_cycle
                 .saturating_sub(last.unwrap_or(telemetry.half_cycle));
             if self.check_telemetry(&telemetry, point)? == HeatingState::Waits {
-                steady = 0;
+                steadiness.reset();
                 continue;
             }
             heated += HALF_CYCLE * passed;
@@ -63,28 +55,15 @@ impl Device<'_> {
                 asked_w,
                 telemetry: &telemetry,
             });
-            // Between two bursts of a low power.
-            if telemetry.state == State::Heating && telemetry.f_sw_hz == 0 {
-                continue;
-            }
-            let same = telemetry.f_sw_hz == f_sw_hz && telemetry.state == State::Heating;
-            steady = if same { steady + 1 } else { 0 };
-            f_sw_hz = telemetry.f_sw_hz;
-            let power_w = f64::from(telemetry.power_mw) * 1e-3;
-            let close = (power_w / f64::from(asked_w) - 1.0).abs() < 0.05;
-            let at_limit = f_sw_hz <= pwm::MIN_HZ || f_sw_hz >= pwm::MAX_HZ;
-            // A power that the load cannot take ends at a limit of frequency or at the resonance margin: steady, but not close.
-            if steady >= SETTLED_AFTER && (close || at_limit || steady >= 10 * SETTLED_AFTER) {
+            if steadiness.add(&telemetry, asked_w) {
                 return Ok((telemetry.half_cycle, asked_w));
             }
         }
+        let last = self.last.as_ref();
         Err(TrainerError::NotSettled {
             asked_w,
-            last_w: self
-                .last
-                .as_ref()
-                .map_or(0.0, |t| f64::from(t.power_mw) * 1e-3),
-            f_sw_hz,
+            last_w: last.map_or(0.0, |t| f64::from(t.power_mw) * 1e-3),
+            f_sw_hz: last.map_or(0, |t| t.f_sw_hz),
             seconds: SETTLE_WITHIN.as_secs(),
         })
     }
@@ -114,14 +93,16 @@ impl Device<'_> {
         Ok(())
     }
 
-    /// Waits for the next complete window that began after a half-cycle. Time in which the device waits for a pot does not count.
+    /// Waits for the next complete window that began after a half-cycle: for ten seconds of heating by the device's half-cycles, or of the
+    /// link's clock in a replay, which has no telemetry.
     pub fn window_after(
         &mut self,
         half_cycle: u32,
         point: OperatingPoint,
     ) -> Result<Box<Window>, TrainerError> {
         self.report(RunProgress::AwaitingWindow { point });
-        let mut since = self.client()?.clock();
+        let begin = self.client()?.clock();
+        let mut heats_since = None;
         loop {
             match self.next_event("a window")? {
                 Some(DeviceEvent::Window(window)) if window.half_cycle > half_cycle => {
@@ -133,18 +114,20 @@ impl Device<'_> {
                         why: &reason.to_string(),
                     });
                 }
-                Some(DeviceEvent::Telemetry(t))
-                    if self.check_telemetry(&t, point)? == HeatingState::Waits =>
-                {
-                    since = self.client()?.clock();
-                }
+                Some(DeviceEvent::Telemetry(t)) => match self.check_telemetry(&t, point)? {
+                    HeatingState::Waits => heats_since = None,
+                    HeatingState::Heats => {
+                        let since = *heats_since.get_or_insert(t.half_cycle);
+                        if HALF_CYCLE * t.half_cycle.saturating_sub(since) >= TIMEOUT {
+                            return Err(self.silent("a window"));
+                        }
+                    }
+                },
                 Some(DeviceEvent::Fault(f)) => self.note_fault(f.fault, point)?,
-                Some(
-                    DeviceEvent::Telemetry(_) | DeviceEvent::Window(_) | DeviceEvent::Log { .. },
-                )
-                | None => {}
+                Some(DeviceEvent::Window(_) | DeviceEvent::Log { .. }) | None => {}
             }
-            if self.client()?.clock().saturating_sub(since) >= TIMEOUT {
+            let waited = self.client()?.clock().saturating_sub(begin);
+            if point.asked_w().is_none() && waited >= TIMEOUT {
                 return Err(self.silent("a window"));
             }
         }
