@@ -236,6 +236,12 @@ limits! {
     SUPPLY_MAX_MV: u32 = 3_379, "mV";
     /// Consecutive readings of the reference, one every 4 ms, that stop heating outside this range and permit it within.
     SUPPLY_READINGS: u8 = 3, "readings";
+    /// Time without a block after which hardware opens both switches: a block lasts 88 µs at the lowest frequency, and a thread that
+    /// copies a chunk holds it up for 5 µs.
+    SAMPLING_WATCHDOG_US: u32 = 500, "µs";
+    /// Time that the control loop stands still after which the watchdog resets it, the outputs being off from then on. What must be
+    /// faster is in hardware.
+    WATCHDOG_US: u32 = 60_000, "µs";
     /// Consecutive blocks, equal to the last bit, that are a fault.
     FROZEN_BLOCKS: u8 = 4, "blocks";
     /// Heat sink temperature from which power is reduced.

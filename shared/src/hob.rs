@@ -14,10 +14,13 @@ const _: () = assert!(RATED_POWER_W <= REQUESTED_POWER_MAX_W);
 /// Capacitance that the bridge sees in series with the coil, in picofarad. While the upper switch is on, the coil's current flows
 /// through C2 as well, and the rectifier recharges it evenly: to the fundamental that is C2 / (1/2 − 2/π²) in series with C_r.
 pub const TANK_CAPACITANCE_PF: u32 = {
-    let (c_r, c_2) = (RESONANCE_CAPACITANCE_NF as u64, LINK_CAPACITANCE_NF as u64);
-    // 1/2 − 2/π² = 0.297358.
-    (c_r * 1_000 * c_2 * 1_000_000 / (c_2 * 1_000_000 + c_r * 297_358)) as u32
+    let (c_r, c_2) = (RESONANCE_CAPACITANCE_NF as f64, LINK_CAPACITANCE_NF as f64);
+    (c_r * 1e3 * c_2 / (c_2 + c_r * LINK_SHARE)) as u32
 };
+
+/// Share of the link's ripple in the bridge's fundamental, over that of the coil's current in the link: a lagging current that flows from
+/// the bus for half of the period leaves it at a half-sine above its mean.
+pub const LINK_SHARE: f64 = 0.5 - 2.0 / (core::f64::consts::PI * core::f64::consts::PI);
 
 /// Turns of the coil over the 23 of the paper's coil, for which [`crate::lookup::prior`] and the simulation's formulas are given. With
 /// other turns in the same place R and L are its square times as large, at currents that are so many times smaller.

@@ -58,11 +58,7 @@ pub fn ran_well() {
 
 /// Reads the record that the last run left, and counts this start.
 pub fn read_crash_record() -> Option<CrashRecord> {
-    let mut words = [0; WORDS];
-    for (word, slot) in words.iter_mut().zip(&CRASH_RECORD) {
-        *word = slot.load(Ordering::Relaxed);
-    }
-    let last = CrashRecord::from_words(words);
+    let last = CrashRecord::from_words(stored_words());
     write(CrashRecord::begun(last));
     last
 }
@@ -90,12 +86,12 @@ fn note(record: CrashRecord) {
     }
 }
 
+fn stored_words() -> [u32; WORDS] {
+    core::array::from_fn(|k| CRASH_RECORD[k].load(Ordering::Relaxed))
+}
+
 fn stored_record() -> CrashRecord {
-    let mut words = [0; WORDS];
-    for (word, slot) in words.iter_mut().zip(&CRASH_RECORD) {
-        *word = slot.load(Ordering::Relaxed);
-    }
-    CrashRecord::from_words(words).unwrap_or_default()
+    CrashRecord::from_words(stored_words()).unwrap_or_default()
 }
 
 fn write(record: CrashRecord) {

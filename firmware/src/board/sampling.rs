@@ -22,14 +22,14 @@ use super::cycles;
 use super::dsp::DspArithmetic;
 
 /// The one sampling path. Its window alone is 50 KiB, so it is never moved.
-struct Place(UnsafeCell<SamplingPath<DspArithmetic>>);
+struct PathCell(UnsafeCell<SamplingPath<DspArithmetic>>);
 
 // SAFETY: reached only through `InterruptSide` and `ThreadSide`, of which `split` makes one each.
 // The former runs at an interrupt's priority and is never preempted by the latter; the latter masks
 // interrupts for as long as it holds its reference.
-unsafe impl Sync for Place {}
+unsafe impl Sync for PathCell {}
 
-static PLACE: Place = Place(UnsafeCell::new(SamplingPath::blank()));
+static PLACE: PathCell = PathCell(UnsafeCell::new(SamplingPath::blank()));
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// Set after each block, for the link task: faults, summaries and windows may be there.

@@ -4,6 +4,7 @@
 //! fundamental is part of the bridge's: whatever C2 is, and whatever line and filter feed it.
 
 use ihd_shared::board::{BUS_POLE_HZ, SLOW_PIN_POLE_HZ};
+use ihd_shared::hob::LINK_SHARE;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
 
 use crate::fixed::{Complex, saturate};
@@ -34,8 +35,8 @@ const DV_PER_SUM: i64 =
 const SUM_BITS: u32 = 30;
 
 /// Share of the ripple in the bridge's fundamental. While the upper switch is on, a lagging current leaves the bus at a half-sine above
-/// its mean: its fundamental is a half, the bridge's 1/2 − 2/π².
-pub const BRIDGE_SHARE: f64 = 0.594_715;
+/// its mean: its fundamental is a half, the bridge's [`LINK_SHARE`].
+pub const BRIDGE_SHARE: f64 = 2.0 * LINK_SHARE;
 
 /// Fundamental of the ripple as the filters of the coil's channels would show it, in decivolt: amplitude and phase with respect
 /// to the block's sums. At most 100 kHz.

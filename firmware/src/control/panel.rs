@@ -35,6 +35,9 @@ const TIMER_FLASH_MS: u32 = 120;
 const FLASH_MS: u32 = 200;
 const PAUSE_MS: u32 = 1_000;
 
+/// Half of the time from one flicker of the light to the next while the panel is awake, in milliseconds.
+const FLICKER_MS: u32 = 100;
+
 /// State of the lines, `true` if a button closes it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PanelLines {
@@ -182,13 +185,18 @@ impl PanelButtons {
     /// Lights for the hob's state.
     pub fn lights(&self, shown: &PanelState, now_ms: u32) -> PanelLights {
         let on = match (self.timer_shown_ms, shown.level) {
-            _ if self.awake_until_ms.is_some() => now_ms % FLASH_MS < FLASH_MS / 2,
+            _ if self.awake_until_ms.is_some() => now_ms % (2 * FLICKER_MS) < FLICKER_MS,
             (Some(since_ms), _) => {
                 let tens = shown.timer_min.div_ceil(TIMER_STEP_MIN);
-                is_flash(tens, TIMER_FLASH_MS, now_ms.wrapping_sub(since_ms))
+                is_flash(
+                    tens.into(),
+                    TIMER_FLASH_MS,
+                    PAUSE_MS,
+                    now_ms.wrapping_sub(since_ms),
+                )
             }
             (None, _) if shown.keeps_warm => true,
-            (None, Some(level)) => is_flash(level, FLASH_MS, now_ms),
+            (None, Some(level)) => is_flash(level.into(), FLASH_MS, PAUSE_MS, now_ms),
             (None, None) => false,
         };
         PanelLights {
@@ -210,9 +218,9 @@ fn next_timer_min(left_min: u8) -> u8 {
 }
 
 /// Returns `true` during one of so many flashes, which a pause follows. `flash_ms` is half of the time from one to the next.
-fn is_flash(count: u8, flash_ms: u32, at_ms: u32) -> bool {
-    let flashing_ms = u32::from(count) * 2 * flash_ms;
-    let at_ms = at_ms % (flashing_ms + PAUSE_MS);
+pub fn is_flash(count: u32, flash_ms: u32, pause_ms: u32, at_ms: u32) -> bool {
+    let flashing_ms = count * 2 * flash_ms;
+    let at_ms = at_ms % (flashing_ms + pause_ms);
     at_ms < flashing_ms && at_ms % (2 * flash_ms) < flash_ms
 }
 

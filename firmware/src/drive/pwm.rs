@@ -9,8 +9,11 @@
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 
+/// Frequency of the processor and its timers, in hertz.
+pub const CORE_HZ: u32 = 170_000_000;
+
 /// Ticks per second.
-pub const TICK_HZ: u32 = 8 * 170_000_000;
+pub const TICK_HZ: u32 = 8 * CORE_HZ;
 
 /// 5 A at turn-off move the node's 15 nF by 325 V within it, and even an empty coil carries 7 A at the probe frequency.
 pub use ihd_shared::board::DEAD_TIME_NS;

@@ -6,7 +6,7 @@
 
 use ihd_shared::fault::Fault;
 use ihd_shared::hob::{F_SW_MAX_HZ, F_SW_MIN_HZ};
-use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::prior::start_load;
 use ihd_shared::replay::{BLOCK_BYTES, BLOCKS_PER_MESSAGE};
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::window::{PAIR_BYTES, TRAJECTORY_ENTRY_BYTES, TrajectoryEntry};
@@ -90,7 +90,7 @@ impl Replay {
 
     /// Leaves replay mode; the estimator expects the built-in prior's load again.
     pub fn end(&mut self, lock: &mut impl SamplingLock) -> ReplayMode {
-        let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+        let (r, l) = start_load();
         lock.with(|path| {
             if path.is_replaying() {
                 path.set_replay(false, F_SW_MAX_HZ, r, l);

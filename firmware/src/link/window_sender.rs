@@ -209,7 +209,7 @@ fn pairs(
     )
 }
 
-/// Does for the trajectory the same as `pairs`.
+/// Writes a chunk of the trajectory, as `pairs` does of the pairs.
 #[inline(never)]
 fn trajectory(
     seq: u32,

@@ -28,12 +28,12 @@ pub trait Flash {
     /// Sets every bit of a page. Takes tens of milliseconds, in which others run.
     ///
     /// # Errors
-    /// What the hardware reports.
+    /// Error of the hardware.
     fn erase(&mut self, page: usize) -> impl Future<Output = Result<(), Self::Error>>;
     /// Writes whole words at an offset that is one's multiple, once after each erasure.
     ///
     /// # Errors
-    /// What the hardware reports.
+    /// Error of the hardware.
     fn write(
         &mut self,
         page: usize,

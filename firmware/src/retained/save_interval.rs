@@ -15,14 +15,6 @@ pub struct SaveInterval {
 }
 
 impl SaveInterval {
-    /// Permits the first save at once.
-    pub const fn new() -> Self {
-        Self {
-            saved_changes: 0,
-            saved_ms: 0u32.wrapping_sub(INTERVAL_MS),
-        }
-    }
-
     /// Returns `true` if the lookup in use is to be saved now; `changes` counts the lookups that became active since boot.
     pub fn begin(&mut self, changes: u32, now_ms: u32) -> bool {
         let begins =
@@ -35,8 +27,12 @@ impl SaveInterval {
 }
 
 impl Default for SaveInterval {
+    /// Permits the first save at once.
     fn default() -> Self {
-        Self::new()
+        Self {
+            saved_changes: 0,
+            saved_ms: 0u32.wrapping_sub(INTERVAL_MS),
+        }
     }
 }
 

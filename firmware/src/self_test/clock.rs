@@ -1,7 +1,9 @@
 //! The main clock against the low-speed oscillator, which is one of its own and the watchdog's.
 
-/// Frequency of the timer that captures: 170 MHz / 4.
-pub const COUNTS_PER_S: u32 = 42_500_000;
+use crate::drive::pwm::CORE_HZ;
+
+/// Frequency of the timer that captures, in hertz.
+pub const COUNTS_PER_S: u32 = CORE_HZ / 4;
 
 /// Periods of the low-speed oscillator from one capture to the next.
 pub const PERIODS: u32 = 8;

@@ -1,7 +1,9 @@
 //! Program flow: whether each task runs as often as it must.
 
+use crate::drive::pwm::CORE_HZ;
+
 /// Length of the window in which rates are judged, in cycles of the processor: 100 ms.
-pub const WINDOW_CYCLES: u32 = 17_000_000;
+pub const WINDOW_CYCLES: u32 = CORE_HZ / 10;
 
 /// Difference between the time that blocks should have taken and the time that passed, in per mille. Two lost blocks a
 /// half-cycle, which are allowed, are 9 at 34 kHz; a block of another frequency at a step is 1.

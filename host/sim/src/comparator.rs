@@ -1,10 +1,11 @@
 //! Comparator on the coil current, with the filter of HRTIM's fault input behind it.
 
+use ihd_firmware::drive::pwm::CORE_HZ;
 use ihd_shared::board::TRIP_DELAY_NS;
 
-/// Duration from which a pulse trips, in seconds, as the program sets up the chip: six samples in a row, one every 8 cycles of
-/// 170 MHz, and up to one more period before the first.
-pub const FAULT_FILTER_S: f64 = 7.0 * 8.0 / 170e6;
+/// Duration from which a pulse trips, in seconds, as the program sets up the chip: six samples in a row, one every 8 cycles
+/// of the processor, and up to one more period before the first.
+pub const FAULT_FILTER_S: f64 = 7.0 * 8.0 / CORE_HZ as f64;
 
 /// Time besides the filters from the pin above its level to an open switch, in seconds (docs/board.md, "Current and trip").
 pub const TRIP_DELAY_S: f64 = TRIP_DELAY_NS as f64 * 1e-9;

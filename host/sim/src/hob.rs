@@ -15,6 +15,7 @@ pub use ihd_firmware::control::request::PanelEvent;
 use ihd_firmware::control::share_wire::WireDrive;
 use ihd_firmware::drive::bridge::{Bridge, Drive};
 use ihd_firmware::drive::soft_start::{self, SoftStart};
+use ihd_firmware::limits::SAMPLING_WATCHDOG_US;
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::identity::DeviceIdentity;
@@ -24,8 +25,8 @@ use ihd_firmware::sense::bus::{BUS_MEAN, BusReading};
 use ihd_firmware::sense::mains::ZeroCrossingDetector;
 use ihd_firmware::sense::supply::SupplyScale;
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::{F_SW_MAX_HZ, NODE_CAPACITANCE_NF};
-use ihd_shared::lookup::prior::prior;
+use ihd_shared::hob::NODE_CAPACITANCE_NF;
+use ihd_shared::lookup::prior::start_load;
 use ihd_shared::sampling::{ADC_LOCK_P, Pair};
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 use ihd_signal::truth::{MapTruth, Truth};
@@ -53,8 +54,7 @@ const SETTLED_AFTER_S: f64 = 0.5e-3;
 /// ADC samples per point of the kept truth: 9 µs at 45 kHz.
 const TRUTH_EVERY: usize = 8;
 
-/// Time without a block after which the board's sampling watchdog opens both switches, in seconds.
-const SAMPLING_WATCHDOG_S: f64 = 0.5e-3;
+const SAMPLING_WATCHDOG_S: f64 = SAMPLING_WATCHDOG_US as f64 * 1e-6;
 
 /// Period at which the board converts its thermistors and its reference voltage, in seconds.
 const SLOW_READINGS_S: f64 = 4e-3;
@@ -64,7 +64,7 @@ const SLOW_READINGS_S: f64 = 4e-3;
 const OPTION_BYTES: u32 = 0xFEEF_FCAA;
 
 fn booted_sampling_path() -> Box<SamplingPath> {
-    let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+    let (r, l) = start_load();
     Box::new(SamplingPath::new(r, l))
 }
 

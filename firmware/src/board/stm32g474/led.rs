@@ -12,6 +12,7 @@ use embassy_stm32::pac;
 use embassy_stm32::pac::gpio::vals::Moder;
 use embassy_stm32::pac::iwdg::vals::Key;
 use embassy_stm32::pac::rcc::vals::Sw;
+use ihd_firmware::control::panel::is_flash;
 use ihd_shared::board::LED_PIN;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
@@ -41,7 +42,7 @@ pub struct Led {
 }
 
 impl Led {
-    /// Dark.
+    /// Creates it, dark.
     pub fn new() -> Self {
         Self {
             pin: low_output(LED_PIN),
@@ -58,16 +59,14 @@ impl Led {
         let lit = match (fault, state) {
             (Fault::NONE, State::Probing | State::Heating) => true,
             (Fault::NONE, _) => self.ms % 2_000 < 50,
-            (fault, _) => flashes(u32::from(fault.number()), self.ms),
+            (fault, _) => flashes(fault.number(), self.ms),
         };
         self.pin.set_level(Level::from(lit));
     }
 }
 
-fn flashes(number: u32, ms: u32) -> bool {
-    let on = number * 2 * FLASH_MS;
-    let ms = ms % (on + PAUSE_MS);
-    ms < on && ms % (2 * FLASH_MS) < FLASH_MS
+fn flashes(number: u16, ms: u32) -> bool {
+    is_flash(number.into(), FLASH_MS, PAUSE_MS, ms)
 }
 
 /// Flashes a fault's number for ever, or flickers without one, feeding the watchdog should it run. Registers alone: whatever came
@@ -85,7 +84,7 @@ pub fn flash_for_ever(number: u16) -> ! {
     loop {
         let lit = match number {
             0 => ms % 200 < 100,
-            _ => flashes(u32::from(number), ms),
+            _ => flashes(number, ms),
         };
         PORT.bsrr().write(|w| match lit {
             true => w.set_bs(LINE, true),

@@ -94,13 +94,13 @@ struct FrameInProgress {
 }
 
 /// Reached only while [`TAKEN`] is held.
-struct Place(UnsafeCell<FrameInProgress>);
+struct FrameCell(UnsafeCell<FrameInProgress>);
 
 // SAFETY: one processor; `TAKEN` lets one context in at a time, and another that finds it taken stays out.
-unsafe impl Sync for Place {}
+unsafe impl Sync for FrameCell {}
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
-static WRITING: Place = Place(UnsafeCell::new(FrameInProgress {
+static WRITING: FrameCell = FrameCell(UnsafeCell::new(FrameInProgress {
     encoder: defmt::Encoder::new(),
     rtt: RingFrame::NONE,
     link: RingFrame::NONE,

@@ -13,6 +13,7 @@ use embassy_stm32::wdg::IndependentWatchdog;
 use embassy_stm32::{Peri, Peripherals, bind_interrupts, interrupt, peripherals, uid};
 use embassy_usb::UsbDevice;
 use ihd_firmware::drive::bridge::Bridge;
+use ihd_firmware::limits::WATCHDOG_US;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::retained::reset;
 use ihd_firmware::retained::save_interval::SaveInterval;
@@ -20,8 +21,7 @@ use ihd_firmware::sampling::path::SamplingLock;
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 use ihd_shared::board::{COIL_NTC_PIN, FAN_PIN, GLASS_NTC_PIN, HEAT_SINK_NTC_PIN};
 use ihd_shared::fault::Fault;
-use ihd_shared::hob::F_SW_MAX_HZ;
-use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::prior::start_load;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{Comparators, Hello, State};
 use static_cell::StaticCell;
@@ -46,10 +46,6 @@ bind_interrupts!(struct Irqs {
     LPUART1 => usart::BufferedInterruptHandler<LPUART1>;
     FLASH => flash::InterruptHandler;
 });
-
-/// A control loop that stands still this long is reset. The outputs are off from then on; what must be
-/// faster is in hardware.
-const WATCHDOG_US: u32 = 60_000;
 
 static SAMPLING_TASK: TaskStorage<SamplingTask<Adc>> = TaskStorage::new();
 static EXECUTOR: StaticCell<Executor> = StaticCell::new();
@@ -87,7 +83,7 @@ fn main() -> ! {
         last.map_or(0, |record| record.fault),
         registers::clocks::CORE_MHZ
     );
-    let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+    let (r, l) = start_load();
     let Some((interrupt_side, thread_side)) = sampling::split(r, l) else {
         unreachable!("main runs once");
     };
@@ -183,7 +179,7 @@ fn start(
         watchdog,
         led,
         heartbeat: Heartbeat::default(),
-        saves: SaveInterval::new(),
+        saves: SaveInterval::default(),
         self_test,
         temperatures: TemperatureAdc::start(adc::sampled_cycles()),
         fan: low_output(FAN_PIN),

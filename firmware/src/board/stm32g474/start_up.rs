@@ -45,7 +45,7 @@ const LED_MODE: u32 = {
 //    with another. FPU on: CPACR, CP10 and CP11; s0 keeps the way back meanwhile. What fails goes where broken RAM goes.
 // 1. After power-on, once, the watchdog is let run out on purpose (IEC 60730-1 H.2.18.10.3). RCC_CSR keeps its flags until
 //    software clears them: the second time round both BORRSTF and IWDGRSTF are set. Where the reset does not come within
-//    50 ms, `main` finds BORRSTF alone, and reports it (`registers::supply::was_watchdog_tried`).
+//    50 ms, `main` finds BORRSTF alone, and reports it (`registers::supply::reset_flags`).
 //    IWDG: started, unlocked, reload of 0, which is in force once RVU is 0 again, and reloaded (RM0440 44.3.3): 125 µs.
 // 2. March C- over all RAM but the crash record, which must survive a reset and is in SRAM2, whose words are tested one by
 //    one and keep what they hold: ⇑(w0) ⇑(r0,w1) ⇑(r1,w0) ⇓(r0,w1) ⇓(r1,w0) ⇑(r0). r9 gathers what was wrong. With RAM

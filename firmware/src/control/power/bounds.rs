@@ -100,7 +100,7 @@ impl Bounds {
             Limit::CoilVoltage
         } else if !seen.is_above_resonance(RESONANCE_MARGIN_PERCENT) {
             Limit::Resonance
-        } else if self.turn_off_spare_ma(f_sw_hz, &tank, i3_ma) < 0 {
+        } else if self.turn_off_spare_ma(f_sw_hz, v1_uv, [&tank, &seen], i3_ma) < 0 {
             Limit::SoftSwitching
         } else {
             Limit::None
@@ -108,17 +108,22 @@ impl Bounds {
     }
 
     /// Turn-off current above what is kept of it, in milliampere: I·sin φ and the harmonics, less the second one of the bus's ripple,
-    /// which one of the switches has against it.
-    fn turn_off_spare_ma(&self, f_sw_hz: u32, tank: &Tank, i3_ma: i64) -> i64 {
+    /// which one of the switches has against it. `seen` is the tank with the link in series.
+    fn turn_off_spare_ma(
+        &self,
+        f_sw_hz: u32,
+        v1_uv: u32,
+        [tank, seen]: [&Tank; 2],
+        i3_ma: i64,
+    ) -> i64 {
         /// Reactance of C_r over the tank's, in 1/1024.
         const RESONANCE_Q10: i64 =
             (TANK_CAPACITANCE_PF as i64 * 1_024) / (RESONANCE_CAPACITANCE_NF as i64 * 1_000);
         /// Second harmonic of the bridge's voltage over the reactance that the link has for the first, in 1/1024: while the upper
         /// switch is on the bus leaves its mean by (cos θ − ½ + θ/π)·I/ωC, whose share is (4/3 − 1/2)/π.
         const SECOND_Q10: i64 = ((4.0 / 3.0 - 0.5) / PI * 2.0 / BRIDGE_SHARE * 1_024.0) as i64;
-        let seen = tank.with_series(self.series_q10.into());
         let z_mohm = seen.z_mohm().max(1) as i64;
-        let i_ma = i64::from(fundamental_uv(self.bus_dv)) / z_mohm;
+        let i_ma = i64::from(v1_uv) / z_mohm;
         let x_c_mohm = (tank.x_c_mohm * RESONANCE_Q10) >> 10;
         let second_mohm = ((seen.x_c_mohm - x_c_mohm) * SECOND_Q10) >> 10;
         let second_ma = i_ma * second_mohm / (2 * seen.x_l_mohm - x_c_mohm / 2).max(1);

@@ -1,10 +1,10 @@
 //! The board's watchdog: it resets a program whose blocks or housekeeping stand still, until that has ended too often.
 
+use ihd_firmware::limits::WATCHDOG_US;
 use ihd_firmware::retained::reset::{GOOD_START_BLOCKS, MAX_ENDS};
 use ihd_firmware::self_test::heartbeat::Heartbeat;
 
-/// Time without feeding after which it resets, in seconds.
-const WATCHDOG_S: f64 = 60e-3;
+const WATCHDOG_S: f64 = WATCHDOG_US as f64 * 1e-6;
 
 /// Watchdog with its oscillator, and the count of ends that outlives its reset.
 #[derive(Clone, Copy, Debug, Default)]

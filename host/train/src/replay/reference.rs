@@ -5,8 +5,7 @@ use std::time::Duration;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::SamplingPath;
 use ihd_link::{LinkError, Transport};
-use ihd_shared::hob::F_SW_MAX_HZ;
-use ihd_shared::lookup::prior::prior;
+use ihd_shared::lookup::prior::start_load;
 use ihd_shared::wire::frame::MAX_ENCODED;
 use ihd_shared::wire::hello::{CAP_SIMULATED, ROLE_DEVICE, ours};
 
@@ -20,7 +19,7 @@ pub struct ReferenceDevice {
 impl Default for ReferenceDevice {
     fn default() -> Self {
         let build = concat!("ihd ", env!("CARGO_PKG_VERSION"));
-        let (r, l) = prior().interpolate(F_SW_MAX_HZ, 0);
+        let (r, l) = start_load();
         Self {
             housekeeping: Housekeeping::new(ours(ROLE_DEVICE, CAP_SIMULATED, 0, build, "host")),
             sampling_path: Box::new(SamplingPath::new(r, l)),

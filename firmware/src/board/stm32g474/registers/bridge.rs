@@ -45,9 +45,9 @@ pub fn close_lower() {
     });
 }
 
-/// HRTIM_SETA1R: whether output 1 is set at the period, so that both switches close in turn; as from the
-/// next repetition event, with a whole period. The way there inserts dead time like any other edge.
-/// What has tripped meanwhile stays so: the outputs are not enabled again.
+/// HRTIM_SETA1R: sets output 1 at the period, so that both switches close in turn, or no longer; from the
+/// next repetition event on, with a whole period. The way there inserts dead time like any other edge.
+/// Outputs that have tripped meanwhile are not enabled again.
 #[inline(always)]
 pub fn switch(on: bool) {
     let bridge = pac::HRTIM1.tim(BRIDGE);

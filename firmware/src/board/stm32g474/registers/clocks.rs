@@ -12,9 +12,10 @@ use embassy_stm32::pac::flash::vals::Latency;
 use embassy_stm32::pac::rcc::vals::{Hpre, Sw};
 use embassy_stm32::rcc::{self, mux};
 use embassy_stm32::{Config, Peripherals};
+use ihd_firmware::drive::pwm::CORE_HZ;
 
 /// Frequency of SYSCLK, AHB and APB, in MHz.
-pub const CORE_MHZ: u32 = 170;
+pub const CORE_MHZ: u32 = CORE_HZ / 1_000_000;
 
 /// RM0440, PWR: bit 8 of PWR_CR5 (also ST's SVD, and `PWR_CR5_R1MODE` of stm32g474xx.h). 0 is boost.
 const R1MODE: u32 = 1 << 8;

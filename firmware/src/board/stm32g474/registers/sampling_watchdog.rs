@@ -11,15 +11,12 @@
 use embassy_stm32::pac;
 use embassy_stm32::pac::timer::vals::{Mms, Ocm};
 use embassy_stm32::{peripherals, rcc};
+use ihd_firmware::limits::SAMPLING_WATCHDOG_US;
 
 use super::clocks::CORE_MHZ;
 use super::faults;
 
-/// Time without a block that opens the bridge: a block lasts 88 µs at the lowest frequency, and a thread that copies a chunk
-/// holds it up for 5 µs.
-const LIMIT_US: u32 = 500;
-
-const LIMIT_CYCLES: u32 = LIMIT_US * CORE_MHZ;
+const LIMIT_CYCLES: u32 = SAMPLING_WATCHDOG_US * CORE_MHZ;
 
 /// HRTIM_EECR1, EE2SRC: TIM2_TRGO (HRTIM, table "External events mapping"; ST's `HRTIM1_EEV2SRC_TIM2_TRGO`).
 const EVENT_2: usize = 1;

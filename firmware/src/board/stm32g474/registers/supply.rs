@@ -42,7 +42,7 @@ pub fn reference_calibration() -> u16 {
     unsafe { core::ptr::read_volatile(0x1FFF_75AA as *const u16) }
 }
 
-/// FLASH, FLASH_OPTR: whether there are two banks, of which one can be written while the program runs
+/// FLASH, FLASH_OPTR: returns `true` if there are two banks, of which one can be written while the program runs
 /// from the other (DBANK = 1, as delivered).
 pub fn has_two_banks() -> bool {
     pac::FLASH.optr().read().dbank()
