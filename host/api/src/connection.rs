@@ -48,8 +48,11 @@ const MAX_STREAMS: u32 = 32;
 /// connection.
 const MAX_RESET_STREAMS: usize = 20;
 
-/// Flow-control window of a request body, in bytes: the maximum body size.
-const BODY_WINDOW: u32 = 65_536;
+/// Maximum size of a request body, in bytes; a lookup as JSON has 3 kB.
+pub(crate) const MAX_BODY_BYTES: usize = 65_536;
+
+/// Flow-control window of a request body, in bytes.
+const BODY_WINDOW: u32 = MAX_BODY_BYTES as u32;
 
 /// Maximum of unsent data that the system may buffer for a connection, in bytes: buffered telemetry is old when it arrives.
 const MAX_UNSENT: usize = 16_384;

@@ -14,6 +14,8 @@ use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
 use rustls::{CertificateError, RootCertStore, ServerConfig};
 use thiserror::Error;
 
+use crate::private_file::create_private;
+
 /// ALPN name of HTTP/2.
 pub(crate) const HTTP2: &[u8] = b"h2";
 
@@ -237,11 +239,7 @@ pub(crate) fn write_new(path: &Path, text: &[u8]) -> Result<(), TlsError> {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
             _ => {}
         }
-        let mut options = fs::OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let mut file = options.open(&temporary)?;
+        let mut file = create_private(&temporary)?;
         file.write_all(text)?;
         file.sync_all()?;
         fs::rename(&temporary, path)

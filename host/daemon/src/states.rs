@@ -1,44 +1,82 @@
-//! Device state and live report from a half-cycle.
+//! Device state and live report from a half-cycle or a status.
 
 use ihd_model::{DeviceState, Live};
 use ihd_shared::fault::Fault;
-use ihd_shared::wire::messages::{Limit, Pot, State, Status, Telemetry};
+use ihd_shared::wire::messages::{Limit, OffReason, Pot, State, Status, Telemetry};
 
 use crate::live::recent_power::RecentPower;
 
-/// Returns the device state and its reason from a half-cycle; a pot probe keeps the state `before`.
-pub fn device_state(t: &Telemetry, before: DeviceState) -> (DeviceState, String) {
-    let fault = t.fault != Fault::NONE;
-    match t.state {
+/// State of a hob's controller, by a half-cycle's telemetry or by a status.
+#[derive(Clone, Copy, Debug)]
+pub struct ControllerState {
+    state: State,
+    fault: Fault,
+    pot: Pot,
+    off_reason: OffReason,
+    limit: Limit,
+}
+
+impl From<&Telemetry> for ControllerState {
+    fn from(t: &Telemetry) -> Self {
+        Self {
+            state: t.state,
+            fault: t.fault,
+            pot: t.pot,
+            off_reason: t.off_reason,
+            limit: t.limit,
+        }
+    }
+}
+
+impl From<&Status> for ControllerState {
+    fn from(status: &Status) -> Self {
+        Self {
+            state: status.state,
+            fault: status.fault,
+            pot: status.pot,
+            off_reason: status.off_reason,
+            limit: status.limit,
+        }
+    }
+}
+
+/// Returns the device state and its reason; a pot probe keeps the state `before`.
+pub fn device_state(
+    controller: impl Into<ControllerState>,
+    before: DeviceState,
+) -> (DeviceState, String) {
+    let c = controller.into();
+    let fault = c.fault != Fault::NONE;
+    match c.state {
         State::LockedOut => (
             DeviceState::Faulted,
             format!(
                 "{}; it stays off until a person switches off and on",
-                t.fault.text()
+                c.fault.text()
             ),
         ),
         State::Pausing if fault => (
             DeviceState::Faulted,
-            format!("{}; it starts again by itself", t.fault.text()),
+            format!("{}; it starts again by itself", c.fault.text()),
         ),
-        _ if fault => (DeviceState::Faulted, t.fault.text().to_owned()),
+        _ if fault => (DeviceState::Faulted, c.fault.text().to_owned()),
         State::Pausing => (
             DeviceState::Idle,
             "it pauses, and starts again by itself".to_owned(),
         ),
-        State::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
-        State::Heating => (DeviceState::Learning, limit_text(t)),
-        State::Idle => (DeviceState::Idle, t.off_reason.text().to_owned()),
+        State::WaitingForPot => (DeviceState::WaitingForPot, pot_text(c.pot).to_owned()),
+        State::Heating => (DeviceState::Learning, limit_text(c.limit)),
+        State::Idle => (DeviceState::Idle, c.off_reason.text().to_owned()),
         State::Probing => match before {
-            DeviceState::WaitingForPot => (DeviceState::WaitingForPot, pot_text(t.pot).to_owned()),
-            DeviceState::Learning => (DeviceState::Learning, limit_text(t)),
+            DeviceState::WaitingForPot => (DeviceState::WaitingForPot, pot_text(c.pot).to_owned()),
+            DeviceState::Learning => (DeviceState::Learning, limit_text(c.limit)),
             _ => (DeviceState::Idle, "it looks at the coil".to_owned()),
         },
     }
 }
 
 /// Describes what is wrong with the pot of a hob that waits for one.
-pub fn pot_text(pot: Pot) -> &'static str {
+fn pot_text(pot: Pot) -> &'static str {
     match pot {
         Pot::Unsuitable => "what stands on the coil cannot be heated by induction",
         Pot::Small => "what stands on the coil is too small",
@@ -57,8 +95,8 @@ pub fn pot_change(pot: Pot) -> &'static str {
     }
 }
 
-fn limit_text(t: &Telemetry) -> String {
-    match t.limit {
+fn limit_text(limit: Limit) -> String {
+    match limit {
         Limit::None => String::new(),
         // Near these limits it changes with every half-cycle.
         Limit::Frequency | Limit::Resonance | Limit::SoftSwitching => String::new(),

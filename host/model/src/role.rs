@@ -11,20 +11,17 @@ pub enum Role {
     Read,
     /// Command devices and create backups.
     Operate,
-    /// Replace a device's firmware. No route requires it yet.
-    Flash,
 }
 
 impl Role {
     /// All roles, lowest first.
-    pub const ALL: [Role; 3] = [Role::Read, Role::Operate, Role::Flash];
+    pub const ALL: [Role; 2] = [Role::Read, Role::Operate];
 
     /// Returns its name in the token file.
     pub fn name(self) -> &'static str {
         match self {
             Role::Read => "read",
             Role::Operate => "operate",
-            Role::Flash => "flash",
         }
     }
 

@@ -2,7 +2,7 @@
 
 import { Refusal } from './daemon.mjs';
 
-const ROLES = ['read', 'operate', 'flash'];
+const ROLES = ['read', 'operate'];
 
 /** Turns away requests to another name, and those of other sites' pages. */
 export function guard(request) {

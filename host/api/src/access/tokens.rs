@@ -9,6 +9,8 @@ use rustls::crypto::ring;
 use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
 use thiserror::Error;
 
+use crate::private_file::create_private;
+
 /// Random bytes of a generated token, which is written in hexadecimal.
 const TOKEN_BYTES: usize = 32;
 
@@ -103,11 +105,7 @@ impl Tokens {
             path: path.into(),
             source,
         };
-        let mut options = fs::OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let mut file = options.open(path).map_err(io)?;
+        let mut file = create_private(path).map_err(io)?;
         let mut tokens = Vec::new();
         let mut text =
             String::from("# Tokens of ihd's API: `role token`. Whoever has one has its role.\n");
@@ -137,7 +135,7 @@ impl Tokens {
                 .split_once(char::is_whitespace)
                 .ok_or_else(|| wrong("it is not `role token`"))?;
             let role = Role::from_name(role)
-                .ok_or_else(|| wrong("the role is none of read, operate and flash"))?;
+                .ok_or_else(|| wrong("the role is neither read nor operate: delete the line"))?;
             let token = token.trim();
             if token.len() < MIN_CHARACTERS {
                 return Err(wrong("the token is shorter than 32 characters"));
@@ -279,7 +277,7 @@ mod tests {
     #[test]
     fn the_owner_gets_the_lowest_token_that_does() {
         let (low, high) = ("l".repeat(32), "h".repeat(32));
-        let tokens = parsed(&format!("flash {high}\nread {low}\n")).unwrap();
+        let tokens = parsed(&format!("operate {high}\nread {low}\n")).unwrap();
         assert_eq!(tokens.at_least(Role::Read), Some(low.as_str()));
         assert_eq!(tokens.at_least(Role::Operate), Some(high.as_str()));
         let reader = parsed(&format!("read {low}\n")).unwrap();

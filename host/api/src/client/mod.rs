@@ -28,12 +28,16 @@ pub use self::error::ClientError;
 use self::events::Events;
 use self::names::{device, encoded, printable_ascii};
 use self::pinned::PinnedConnector;
+use crate::access::guard;
 
-/// Maximum response time; that of the daemon is shorter.
-const TIMEOUT: Duration = Duration::from_secs(25);
+/// Time that a response may take beyond the daemon's own limit.
+const MARGIN: Duration = Duration::from_secs(5);
+
+/// Maximum response time.
+const TIMEOUT: Duration = guard::REQUEST_TIMEOUT.saturating_add(MARGIN);
 
 /// Maximum duration of a backup.
-const BACKUP_TIMEOUT: Duration = Duration::from_secs(610);
+const BACKUP_TIMEOUT: Duration = guard::BACKUP_TIMEOUT.saturating_add(MARGIN);
 
 /// Time without an event or comment after which the connection counts as lost: three heartbeats.
 const SILENCE_TIMEOUT: Duration = Duration::from_secs(45);

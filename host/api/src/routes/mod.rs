@@ -32,13 +32,11 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use crate::access::guard::{self, Access};
+use crate::connection::MAX_BODY_BYTES;
 use crate::problem::refusal;
 use crate::routes::health::HealthCache;
 use crate::served::ServedTls;
 use crate::slots::ConnectionSlots;
-
-/// Maximum size of a request body, in bytes; a lookup as JSON has 3 kB.
-pub(crate) const MAX_BODY_BYTES: usize = 65_536;
 
 /// Maximum number of simultaneous event streams; leaves connections for other requests.
 pub(crate) const MAX_SUBSCRIBERS: usize = 64;

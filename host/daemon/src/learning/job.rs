@@ -85,7 +85,7 @@ pub struct LearnResult {
     pub is_late: bool,
     /// New lookup to push; `None` if it has not changed.
     pub new_lookup: Option<Box<BuiltLookup>>,
-    /// Reason for which no lookup that a device would accept follows from the window; learning goes on.
+    /// Reason for which no lookup that a device would accept follows from the window, if it is another than before; learning goes on.
     pub no_lookup: Option<String>,
     /// Serialised learning of the device, to be stored with the result; only from time to time, but
     /// always with a new lookup and with a new frequency.

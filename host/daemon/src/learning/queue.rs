@@ -63,6 +63,8 @@ pub struct DeviceLearning {
     pub learning: Learning,
     saved: Instant,
     curves_saved: usize,
+    /// Reason for which a window gave no lookup, until one does; empty without one.
+    no_lookup: String,
 }
 
 impl DeviceLearning {
@@ -70,8 +72,21 @@ impl DeviceLearning {
         Self {
             saved: Instant::now(),
             curves_saved: learning.curve_count(),
+            no_lookup: String::new(),
             learning,
         }
+    }
+
+    /// Keeps the reason for which a window gave no lookup; returns it if it is another than the one before.
+    pub fn change_no_lookup(&mut self, why: String) -> Option<String> {
+        let is_new = why != self.no_lookup;
+        self.no_lookup.clone_from(&why);
+        is_new.then_some(why)
+    }
+
+    /// Ends the reason: a window gave a lookup.
+    pub fn clear_no_lookup(&mut self) {
+        self.no_lookup.clear();
     }
 
     /// Returns the bytes for the store if the lookup or the number of curves has changed, or the last save is `every` ago.

@@ -30,8 +30,11 @@ pub(super) fn settle(
 ) -> LearnResult {
     let (mut new_lookup, no_lookup) = match window_result.update {
         LookupUpdate::Unchanged => (None, None),
-        LookupUpdate::New(built) => (Some(built), None),
-        LookupUpdate::Refused(why) => (None, Some(why)),
+        LookupUpdate::New(built) => {
+            device_learning.clear_no_lookup();
+            (Some(built), None)
+        }
+        LookupUpdate::Refused(why) => (None, device_learning.change_no_lookup(why)),
     };
     let (events, forgotten_count) = {
         let mut state = shared.lock();

@@ -5,4 +5,4 @@ mod tables;
 
 pub use files::{file_name, free_bytes, is_plain_name, list};
 pub use ihd_capture::exports::recording::RecordingExportError;
-pub use tables::{RecordingTable, table};
+pub use tables::{EXPORT_TIMEOUT, RecordingTable, table};

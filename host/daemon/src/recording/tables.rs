@@ -14,7 +14,7 @@ use ihd_capture::exports::recording::{
 const MAX_BYTES: u64 = 2_000_000_000;
 
 /// Time limit for an export.
-const EXPORT_TIMEOUT: Duration = Duration::from_secs(300);
+pub const EXPORT_TIMEOUT: Duration = Duration::from_secs(300);
 
 /// Size of the write buffer, in bytes.
 const BUFFER: usize = 1 << 17;

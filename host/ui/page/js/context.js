@@ -22,7 +22,7 @@
  * @property {(question: Question) => Promise<string | null>} ask   a dialog; the chosen answer's `value`, null for none
  * @property {(text: string, why?: unknown) => void} complain   an error that a person has to see
  *
- * @typedef {{role: "read" | "operate" | "flash", token_needed: boolean, fleet: boolean}} Session
+ * @typedef {{role: "read" | "operate", token_needed: boolean, fleet: boolean}} Session
  * @typedef {{rated_power_w: number, requested_power_max_w: number, f_sw_min_hz: number, f_sw_max_hz: number, resonance_capacitance_f: number,
  *   resonance_margin: number, i_limit_a: number, lease_s: number}} Hob
  * @typedef {{title: string, text: string | (string | Node)[], answers: {label: string, value: string, danger?: boolean}[],

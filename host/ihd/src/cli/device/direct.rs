@@ -6,14 +6,13 @@ use anyhow::{Context, Result, anyhow};
 use ihd_daemon::config::DaemonConfig;
 use ihd_daemon::firmware::{updates_needed, usb_serial};
 use ihd_daemon::live::recent_power::RecentPower;
-use ihd_daemon::states::{live_of_status, pot_text};
+use ihd_daemon::states::{device_state, live_of_status};
 use ihd_link::{Client, DeviceEvent};
 use ihd_model::{
     Command, CommandReply, DeviceReport, DeviceState, Identity, LookupReport, WindowCounts,
 };
-use ihd_shared::fault::Fault;
 use ihd_shared::lookup::RlLookup;
-use ihd_shared::wire::messages::{State, Status, Telemetry};
+use ihd_shared::wire::messages::{Status, Telemetry};
 use ihd_signal::printable;
 
 use super::address::address_of;
@@ -75,18 +74,15 @@ impl Direct {
         self.take_events()?;
         let lookup = self.client.read_lookup().ok();
         let hello = self.client.hello();
+        let (state, detail) = state(&status);
         Ok(DeviceReport {
             name: self.name.clone(),
             address: self.address.clone(),
             serial: usb_serial(&self.address).unwrap_or(&self.name).to_owned(),
             updates_needed: updates_needed(hello.protocol_minor),
-            state: state(&status),
+            state,
             since_s: 0,
-            detail: match (status.state, status.off_reason.text()) {
-                (State::WaitingForPot, _) => pot_text(status.pot).into(),
-                (_, "") => "without a daemon".into(),
-                (_, why) => why.into(),
-            },
+            detail,
             identity: Some(Identity {
                 build: printable(&hello.build).to_string(),
                 board: printable(&hello.board).to_string(),
@@ -214,13 +210,14 @@ impl Direct {
     }
 }
 
-/// State in the daemon's terms, without learning.
-fn state(status: &Status) -> DeviceState {
-    match status.state {
-        _ if status.fault != Fault::NONE => DeviceState::Faulted,
-        State::LockedOut => DeviceState::Faulted,
-        State::WaitingForPot => DeviceState::WaitingForPot,
-        State::Heating => DeviceState::Connected,
-        State::Idle | State::Probing | State::Pausing => DeviceState::Idle,
+/// State and its reason in the daemon's terms, without learning.
+fn state(status: &Status) -> (DeviceState, String) {
+    let (state, detail) = match device_state(status, DeviceState::Connected) {
+        (DeviceState::Learning, detail) => (DeviceState::Connected, detail),
+        other => other,
+    };
+    match detail.as_str() {
+        "" => (state, "without a daemon".into()),
+        _ => (state, detail),
     }
 }

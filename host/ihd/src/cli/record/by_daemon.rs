@@ -13,15 +13,12 @@ use ihd_capture::recording::RecordSettings;
 use ihd_model::{Command, CommandReply};
 use serde_json::json;
 
-use super::NothingRecorded;
+use super::{COMPLETE_WITHIN, NothingRecorded};
 use crate::cli::device::one_line;
 use crate::cli::{interrupt, output};
 
 /// Period of polling for Ctrl-C, the time and the daemon.
 const POLL_PERIOD: Duration = Duration::from_millis(200);
-
-/// Time limit for an ended file to be complete.
-const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Records until Ctrl-C or the end of the time.
 pub(super) fn record(

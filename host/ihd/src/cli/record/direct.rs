@@ -11,22 +11,20 @@ use ihd_capture::recording::{
     RecordSettings, RecordingLimit, RecordingOptions, RecordingPhase, RecordingSession,
     RecordingStatus, Trigger,
 };
-use ihd_daemon::states::pot_text;
+use ihd_daemon::states::device_state;
 use ihd_link::{Client, DeviceEvent, KEEPALIVE_PERIOD};
+use ihd_model::DeviceState;
 use ihd_shared::wire::messages::{State, Status, Utilisation};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
-use super::NothingRecorded;
+use super::{COMPLETE_WITHIN, NothingRecorded};
 use crate::cli::device::DoesNotHeat;
 use crate::cli::{interrupt, output};
 use crate::report::utilisation;
 
 /// Time limit of waiting for an event before limits and Ctrl-C are checked.
 const POLL_PERIOD: Duration = Duration::from_millis(100);
-
-/// Time limit for the reason of a failure.
-const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Recording of a device that is open.
 #[derive(Debug)]
@@ -78,11 +76,14 @@ struct Report {
 
 /// Returns the reason for which a device does not heat; `None` if it does.
 fn why_not_heating(status: &Status) -> Option<String> {
-    match status.state {
-        State::Heating => None,
-        State::WaitingForPot => Some(pot_text(status.pot).to_owned()),
-        state => Some(format!("{} {}", state.name(), status.off_reason.text())),
+    if status.state == State::Heating {
+        return None;
     }
+    let (_, detail) = device_state(status, DeviceState::Connected);
+    Some(match detail.as_str() {
+        "" => format!("it is in state {}", status.state.name()),
+        _ => detail,
+    })
 }
 
 impl DirectRecording {

@@ -6,6 +6,7 @@ mod direct;
 mod trigger;
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::Result;
 use clap::Args;
@@ -23,6 +24,9 @@ use super::recording_file;
 use super::simulate::quantity::quantity;
 use super::simulated::SimulatedHobArgs;
 use super::usage::Usage;
+
+/// Time limit for an ended file to be complete, or for the reason of a failure.
+const COMPLETE_WITHIN: Duration = Duration::from_secs(10);
 
 /// Half-cycles per window without --windows-every.
 const WINDOWS_EVERY: u8 = 20;
