@@ -33,7 +33,7 @@ pub enum Lane {
 
 /// Share of its lane that a job may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Room {
+pub enum LaneLimit {
     /// Share of the lane only.
     Share,
     /// Share and reserve of the lane.
@@ -66,7 +66,7 @@ impl<J> StoreQueue<J> {
     ///
     /// # Errors
     /// The job, if its lane has no room.
-    pub fn push(&mut self, lane: &Lane, room: Room, job: J) -> Result<(), J> {
+    pub fn push(&mut self, lane: &Lane, room: LaneLimit, job: J) -> Result<(), J> {
         if self.lane_len(lane) >= self.limit(lane, room) {
             return Err(job);
         }
@@ -114,10 +114,10 @@ impl<J> StoreQueue<J> {
     }
 
     /// Returns the present capacity of a lane.
-    fn limit(&self, lane: &Lane, room: Room) -> usize {
+    fn limit(&self, lane: &Lane, room: LaneLimit) -> usize {
         let reserve = match room {
-            Room::Share => 0,
-            Room::Reserve => RESERVE,
+            LaneLimit::Share => 0,
+            LaneLimit::Reserve => RESERVE,
         };
         if *lane == Lane::Daemon {
             return DAEMON + reserve;
@@ -142,7 +142,7 @@ mod tests {
     /// Pushes until there is no room. Returns the number of accepted jobs.
     fn flood(queue: &mut StoreQueue<Lane>, lane: &Lane) -> usize {
         (0..10_000)
-            .take_while(|_| queue.push(lane, Room::Share, lane.clone()).is_ok())
+            .take_while(|_| queue.push(lane, LaneLimit::Share, lane.clone()).is_ok())
             .count()
     }
 
@@ -155,12 +155,12 @@ mod tests {
         // The store does one job while the loud device has ten windows, the quiet one has a window each third time.
         for turn in 0..300 {
             for _ in 0..10 {
-                lost += usize::from(queue.push(&loud, Room::Share, loud.clone()).is_err());
+                lost += usize::from(queue.push(&loud, LaneLimit::Share, loud.clone()).is_err());
             }
             if turn % 3 == 0 {
                 let before = queue.lane_len(&quiet);
                 assert_eq!(before, 0, "it never waits for a second job of another lane");
-                queue.push(&quiet, Room::Share, quiet.clone()).unwrap();
+                queue.push(&quiet, LaneLimit::Share, quiet.clone()).unwrap();
             }
             served.extend(queue.next());
         }
@@ -203,15 +203,15 @@ mod tests {
         let mut queue = StoreQueue::default();
         let lane = device("a");
         for k in 0..DEVICE {
-            queue.push(&lane, Room::Share, k).unwrap();
+            queue.push(&lane, LaneLimit::Share, k).unwrap();
         }
-        assert_eq!(queue.push(&lane, Room::Share, 1_000), Err(1_000));
-        queue.push(&lane, Room::Reserve, 2_000).unwrap();
+        assert_eq!(queue.push(&lane, LaneLimit::Share, 1_000), Err(1_000));
+        queue.push(&lane, LaneLimit::Reserve, 2_000).unwrap();
         let served: Vec<_> = std::iter::from_fn(|| queue.next()).collect();
         let given: Vec<_> = (0..DEVICE).chain([2_000]).collect();
         assert_eq!(served, given);
         assert!(queue.is_empty());
-        queue.push(&lane, Room::Share, 1).unwrap();
+        queue.push(&lane, LaneLimit::Share, 1).unwrap();
         assert_eq!((queue.len(), queue.lane_len(&lane)), (1, 1));
     }
 }

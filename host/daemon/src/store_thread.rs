@@ -13,7 +13,7 @@ use crate::event_bus::EventBus;
 use crate::locking::lock;
 use crate::machine::Machine;
 use crate::store_health::{HealthChange, StoreHealth, cause_of};
-use crate::store_queue::{Lane, Room, StoreQueue};
+use crate::store_queue::{Lane, LaneLimit, StoreQueue};
 
 /// Time after which a job counts as stuck: several times what a job takes that waits for a locked database (5 s) and fails.
 const JOB_LIMIT: Duration = Duration::from_secs(30);
@@ -305,7 +305,7 @@ impl StoreAccess {
         }));
         loop {
             let progress = self.shared.progress.notified();
-            match self.shared.enqueue(&self.lane, Room::Share, job)? {
+            match self.shared.enqueue(&self.lane, LaneLimit::Share, job)? {
                 None => break,
                 Some(refused) => job = refused,
             }
@@ -324,8 +324,8 @@ impl StoreAccess {
             Some(JobRecord {
                 kind: RecordKind::Windows,
                 ..
-            }) => Room::Share,
-            _ => Room::Reserve,
+            }) => LaneLimit::Share,
+            _ => LaneLimit::Reserve,
         };
         let job = self.job(Box::new(move |store| {
             f(store).map_err(|e| JobFailure::from(&e))
@@ -346,7 +346,12 @@ impl StoreAccess {
 
 impl Shared {
     /// Appends a job; returns it if its lane has no room.
-    fn enqueue(&self, lane: &Lane, room: Room, job: Job) -> Result<Option<Job>, StoreThreadError> {
+    fn enqueue(
+        &self,
+        lane: &Lane,
+        room: LaneLimit,
+        job: Job,
+    ) -> Result<Option<Job>, StoreThreadError> {
         let mut state = lock(&self.state);
         if state.is_closed {
             return Err(StoreThreadError::Gone("it is stopping"));

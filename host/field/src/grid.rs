@@ -89,7 +89,7 @@ impl Grid {
             for at_m in [0.0, -g.shield_thickness_m] {
                 z.push(Mark { at_m, cell_m });
             }
-            z.push(far(-FAR_M));
+            z.push(outer_boundary(-FAR_M));
         }
         Self {
             r_m: lines(&r, cell_r_m, refinement),
@@ -99,7 +99,7 @@ impl Grid {
 }
 
 /// Line at the boundary, where any cell is fine enough.
-fn far(at_m: f64) -> Mark {
+fn outer_boundary(at_m: f64) -> Mark {
     Mark {
         at_m,
         cell_m: f64::INFINITY,
@@ -115,7 +115,7 @@ fn radii(g: &Geometry, cell_m: f64) -> Vec<Mark> {
         g.ferrite_radius_m,
         g.coil_outer_m + 10e-3,
     ];
-    let mut marks = vec![far(FAR_M)];
+    let mut marks = vec![outer_boundary(FAR_M)];
     marks.extend(inner.map(|at_m| Mark {
         at_m: at_m.min(FAR_M),
         cell_m,
@@ -132,7 +132,7 @@ fn heights(g: &Geometry, cell_m: f64) -> Vec<Mark> {
         g.coil_bottom_m(),
         g.coil_top_m(),
     ];
-    let mut marks = vec![far(FAR_M)];
+    let mut marks = vec![outer_boundary(FAR_M)];
     marks.extend(inner.map(|at_m| Mark { at_m, cell_m }));
     marks
 }

@@ -271,10 +271,8 @@ fn residuals(segment: &Segment, claim: &ClaimedResult<'_>) -> Result<Vec<Residua
     let phasors = demodulate(segment, boxcar(per_period));
     let least = STRETCHES * MIN_PHASORS;
     if phasors.len() < least {
-        return Err(ClaimError::Segment(SegmentError::TooShort {
-            periods: segment.len() as f64 / per_period,
-            needed: (least + 4 * BOXCAR_PERIODS.end()) as f64,
-        }));
+        let needed = (least + 4 * BOXCAR_PERIODS.end()) as f64;
+        return Err(ClaimError::Segment(segment.too_short(needed)));
     }
     let omega = TAU * segment.f_sw_hz;
     let half_s = segment.half_cycle_s();

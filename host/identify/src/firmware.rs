@@ -12,7 +12,6 @@ use ihd_shared::lookup::prior::prior;
 use ihd_shared::sampling::{ADC_LOCK_P, Scales};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_signal::Segment;
-use ihd_signal::SegmentError;
 use ihd_signal::TimeBase;
 use ihd_signal::resample::{AdcGrid, adc_pairs};
 
@@ -23,7 +22,7 @@ use super::{Estimate, IdentifyError, IdentifyOptions, Method};
 ///
 /// # Errors
 /// [`IdentifyError::Unfit`] for a switching frequency outside the hob's ratings,
-/// [`SegmentError::TooShort`] if the demodulator does not fill.
+/// [`ihd_signal::SegmentError::TooShort`] if the demodulator does not fill.
 pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimate, IdentifyError> {
     let started = Instant::now();
     let f_sw_hz = segment.f_sw_hz.round() as u32;
@@ -73,11 +72,8 @@ pub fn identify(segment: &Segment, settings: &IdentifyOptions) -> Result<Estimat
         estimate.push(t_s, r_l, (sigma, sigma / omega));
     }
     if estimate.t_s.is_empty() {
-        return Err(SegmentError::TooShort {
-            periods: segment.len() as f64 / segment.samples_per_period(),
-            needed: 3.0 * f64::from(2 * demod.delay_blocks() + 1),
-        }
-        .into());
+        let needed = 3.0 * f64::from(2 * demod.delay_blocks() + 1);
+        return Err(segment.too_short(needed).into());
     }
     if saturated > 0 {
         estimate.notes.push(format!(

@@ -9,7 +9,6 @@ use std::f64::consts::{PI, TAU};
 use std::time::Instant;
 
 use ihd_signal::Segment;
-use ihd_signal::SegmentError;
 use ihd_signal::correlation::{BlockTurns, Correlator, HarmonicSums};
 use ihd_signal::noise::WhiteNoise;
 use nalgebra::Complex;
@@ -251,7 +250,7 @@ pub fn demodulate(segment: &Segment, boxcar: Boxcar) -> Vec<LockInPhasors> {
 /// Identifies by lock-in; `noise` is the segment's.
 ///
 /// # Errors
-/// [`SegmentError::TooShort`] if the segment does not fill both boxcars.
+/// [`ihd_signal::SegmentError::TooShort`] if the segment does not fill both boxcars.
 pub fn identify(
     segment: &Segment,
     noise: WhiteNoise,
@@ -265,12 +264,8 @@ pub fn identify(
     );
     let phasors = demodulate(segment, boxcar);
     if phasors.len() < 3 {
-        let per_period = segment.samples_per_period();
-        return Err(SegmentError::TooShort {
-            periods: segment.len() as f64 / per_period,
-            needed: (2 * boxcar.samples()) as f64 / per_period + 3.0,
-        }
-        .into());
+        let boxcars = (2 * boxcar.samples()) as f64 / segment.samples_per_period();
+        return Err(segment.too_short(boxcars + 3.0).into());
     }
     let omega = TAU * segment.f_sw_hz;
     let largest = phasors.iter().map(|p| p.i.norm()).fold(0.0, f64::max);

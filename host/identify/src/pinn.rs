@@ -108,7 +108,6 @@ pub fn identify(
 ) -> Result<Estimate, IdentifyError> {
     use std::time::Instant;
 
-    use ihd_signal::SegmentError;
     use ihd_signal::segment::MIN_PERIODS;
 
     use super::{Method, network};
@@ -128,11 +127,7 @@ pub fn identify(
             .map_err(unfit)?;
     }
     if estimate.t_s.is_empty() {
-        return Err(SegmentError::TooShort {
-            periods: segment.len() as f64 / segment.samples_per_period(),
-            needed: MIN_PERIODS,
-        }
-        .into());
+        return Err(segment.too_short(MIN_PERIODS).into());
     }
     estimate.elapsed = started.elapsed();
     Ok(estimate)

@@ -74,9 +74,8 @@ pub fn errors(segment: &Segment, estimate: &mut Estimate) {
 
 /// Range of samples for which there is an estimate.
 fn covered(segment: &Segment, estimate: &Estimate) -> Range<usize> {
-    let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
-    let first = estimate.t_s.first().map_or(0, |t| index(*t));
-    let last = estimate.t_s.last().map_or(0, |t| index(*t) + 1);
+    let first = estimate.t_s.first().map_or(0, |t| segment.index_at(*t));
+    let last = estimate.t_s.last().map_or(0, |t| segment.index_at(*t) + 1);
     let last = last.min(segment.len());
     first.min(last)..last
 }

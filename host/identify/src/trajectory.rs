@@ -11,12 +11,12 @@ pub struct TrajectoryCursor<'a> {
     estimate: &'a Estimate,
     at: usize,
     /// R and L from the point at `at` to the next, computed at the first use.
-    between: Option<Between>,
+    between: Option<TrajectoryPiece>,
 }
 
 /// R and L between two points.
 #[derive(Clone, Copy, Debug)]
-struct Between {
+struct TrajectoryPiece {
     /// Time of the first point in seconds, and of the next; infinite if there is none.
     from_s: f64,
     until_s: f64,
@@ -75,11 +75,11 @@ impl<'a> TrajectoryCursor<'a> {
     }
 
     /// R and L about a time, kept for the following ones.
-    fn between_at(&mut self, t_s: f64) -> Between {
-        let Place { a, b, per_s, .. } = self.place(t_s);
+    fn between_at(&mut self, t_s: f64) -> TrajectoryPiece {
+        let Interpolation { a, b, per_s, .. } = self.place(t_s);
         let times = &self.estimate.t_s;
         let of = |x: &[f64]| (x[a], x[b] - x[a]);
-        *self.between.insert(Between {
+        *self.between.insert(TrajectoryPiece {
             from_s: times[a],
             until_s: if b > a { times[b] } else { f64::INFINITY },
             per_s,
@@ -102,7 +102,7 @@ impl<'a> TrajectoryCursor<'a> {
         (!r.is_empty() && !l.is_empty()).then(|| (place.between(r), place.between(l)))
     }
 
-    fn place(&mut self, t_s: f64) -> Place {
+    fn place(&mut self, t_s: f64) -> Interpolation {
         let times = &self.estimate.t_s;
         while self.at + 1 < times.len() && times[self.at + 1] <= t_s {
             self.at += 1;
@@ -111,20 +111,20 @@ impl<'a> TrajectoryCursor<'a> {
         let span = times[b] - times[a];
         let per_s = if span > 0.0 { 1.0 / span } else { 0.0 };
         let w = ((t_s - times[a]) * per_s).clamp(0.0, 1.0);
-        Place { a, b, per_s, w }
+        Interpolation { a, b, per_s, w }
     }
 }
 
 /// Two adjacent points, the reciprocal of the time between them in 1/s, and the share of the way to the second.
 #[derive(Clone, Copy)]
-struct Place {
+struct Interpolation {
     a: usize,
     b: usize,
     per_s: f64,
     w: f64,
 }
 
-impl Place {
+impl Interpolation {
     fn between(self, x: &[f64]) -> f64 {
         x[self.a] + self.w * (x[self.b] - x[self.a])
     }

@@ -7,7 +7,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use crate::PotModel;
 use crate::curve::common_covariance;
 use crate::heat::changes;
-use crate::misfit::Place;
+use crate::misfit::MapPoint;
 use crate::parameters::{self, CENTRED, COUNT, Prior, Vector};
 use crate::pot_model::FrequencyModel;
 
@@ -33,8 +33,8 @@ pub(crate) struct Datum {
 }
 
 impl Datum {
-    pub fn place(&self) -> Place {
-        Place::new(self.f_hz, self.i_a).aged(self.age_s)
+    pub fn place(&self) -> MapPoint {
+        MapPoint::new(self.f_hz, self.i_a).aged(self.age_s)
     }
 }
 
@@ -109,7 +109,7 @@ fn ln_of(load: Load) -> (f64, f64) {
 /// the misfit of deviations `tau`.
 pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {
     let count = data.len();
-    let places: Vec<Place> = data.iter().map(Datum::place).collect();
+    let places: Vec<MapPoint> = data.iter().map(Datum::place).collect();
     let mut all = DMatrix::zeros(2 * count, 2 * count);
     for m in 0..count {
         for n in 0..=m {

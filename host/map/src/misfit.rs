@@ -35,14 +35,14 @@ pub fn current_of_knots(knots: f64) -> f64 {
 
 /// Place of the map: frequency, current and time.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct MapPoint {
     pub ln_f: f64,
     pub knots: f64,
     /// Age in seconds.
     age_s: f64,
 }
 
-impl Place {
+impl MapPoint {
     pub fn new(f_hz: f64, i_a: f64) -> Self {
         Self {
             ln_f: f_hz.ln(),

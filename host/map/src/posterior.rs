@@ -6,7 +6,7 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use crate::fit::{Datum, Heat, Linearised, covariance, measured};
-use crate::misfit::Place;
+use crate::misfit::MapPoint;
 use crate::parameters::{self, COUNT, Prior};
 use crate::pot_fit::{PotFit, fit_pot};
 
@@ -150,7 +150,7 @@ impl Posterior {
         let Linearised { ln, slopes, heat } =
             Linearised::at((&fit.prior(), &fit.steps), &at, fit.used);
         let mut cross = &self.slopes * slopes.transpose();
-        let here: Vec<Place> = self.data.iter().map(Datum::place).collect();
+        let here: Vec<MapPoint> = self.data.iter().map(Datum::place).collect();
         for (n, place) in at.iter().map(Datum::place).enumerate() {
             for (m, seen) in here.iter().enumerate() {
                 let correlation = seen.correlation(place);

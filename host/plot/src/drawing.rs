@@ -23,14 +23,14 @@ pub enum DrawingError {
 }
 
 /// Place in pixels, x to the right and y downwards.
-pub(crate) type Place = (f32, f32);
+pub(crate) type Pixels = (f32, f32);
 
 /// Red, green and blue from 0 to 1.
 pub(crate) type Colour = [f32; 3];
 
 /// Figure: size in pixels, and its marks from the lowest to the highest.
 pub(crate) struct Drawing {
-    pub(crate) size: Place,
+    pub(crate) size: Pixels,
     pub(crate) marks: Vec<Mark>,
 }
 
@@ -53,10 +53,10 @@ pub(crate) struct Outline {
 /// Part of a path.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum PathStep {
-    Move(Place),
-    Line(Place),
+    Move(Pixels),
+    Line(Pixels),
     /// Two control points and the end of a Bézier curve.
-    Curve(Place, Place, Place),
+    Curve(Pixels, Pixels, Pixels),
     Close,
 }
 
@@ -71,7 +71,7 @@ pub(crate) struct Words {
     pub(crate) is_bold: bool,
     /// Sine and cosine of the rotation, clockwise.
     pub(crate) turn: (f32, f32),
-    at: Place,
+    at: Pixels,
     /// Share of the width that lies before the place.
     before: f32,
     /// Distance of the baseline below the place.
@@ -154,7 +154,7 @@ impl Words {
     }
 
     /// Returns the left end of the baseline of a text of this width in pixels.
-    pub(crate) fn start(&self, width: f32) -> Place {
+    pub(crate) fn start(&self, width: f32) -> Pixels {
         let ((sin, cos), (x, y)) = (self.turn, self.at);
         let back = self.before * width;
         (
@@ -164,13 +164,13 @@ impl Words {
     }
 }
 
-fn connected(points: impl IntoIterator<Item = Place>) -> impl Iterator<Item = PathStep> {
+fn connected(points: impl IntoIterator<Item = Pixels>) -> impl Iterator<Item = PathStep> {
     let mut points = points.into_iter();
     let first = points.next().map(PathStep::Move);
     first.into_iter().chain(points.map(PathStep::Line))
 }
 
-fn circle((x, y): Place, r: f32) -> Vec<PathStep> {
+fn circle((x, y): Pixels, r: f32) -> Vec<PathStep> {
     let q = QUARTER * r;
     let quarter = |a, b, end| PathStep::Curve(a, b, end);
     vec![
@@ -194,7 +194,7 @@ fn number(shape: &Node<'_, '_>, attribute: &str) -> Result<f32, DrawingError> {
     value.ok_or_else(|| unreadable(shape, attribute))
 }
 
-fn points(shape: &Node<'_, '_>) -> Result<Vec<Place>, DrawingError> {
+fn points(shape: &Node<'_, '_>) -> Result<Vec<Pixels>, DrawingError> {
     let pair = |pair: &str| {
         let (x, y) = pair.split_once(',')?;
         Some((x.parse().ok()?, y.parse().ok()?))

@@ -39,6 +39,11 @@ const LINE_MOST: f64 = 0.36;
 /// Quantile over the places: lines may occupy most of the rest.
 const QUANTILE: f64 = 0.2;
 
+/// Mean of the squares of samples; 0 without one.
+pub fn mean_square(x: &[f64]) -> f64 {
+    x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64
+}
+
 /// Standard deviation of one sample's white noise; zero if it could not be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct WhiteNoise {

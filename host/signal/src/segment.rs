@@ -49,6 +49,24 @@ impl Segment {
         self.t0_s + k as f64 * self.dt_s
     }
 
+    /// Sample at a time in seconds on the capture's clock: the nearest, the first for all times before.
+    pub fn index_at(&self, t_s: f64) -> usize {
+        ((t_s - self.t0_s) / self.dt_s).round().max(0.0) as usize
+    }
+
+    /// Number of switching periods, seldom a whole one.
+    pub fn periods(&self) -> f64 {
+        self.len() as f64 / self.samples_per_period()
+    }
+
+    /// Returns the error of a segment of which so many switching periods are needed.
+    pub fn too_short(&self, needed: f64) -> SegmentError {
+        SegmentError::TooShort {
+            periods: self.periods(),
+            needed,
+        }
+    }
+
     /// Samples of one switching period, seldom a whole number.
     pub fn samples_per_period(&self) -> f64 {
         1.0 / (self.f_sw_hz * self.dt_s)
@@ -138,12 +156,8 @@ impl Segment {
                 f_sw_hz: self.f_sw_hz,
             });
         }
-        let periods = self.len() as f64 / per_period;
-        if periods < MIN_PERIODS {
-            return Err(SegmentError::TooShort {
-                periods,
-                needed: MIN_PERIODS,
-            });
+        if self.periods() < MIN_PERIODS {
+            return Err(self.too_short(MIN_PERIODS));
         }
         check_channel("voltage", &self.v_v)?;
         check_channel("current", &self.i_a)

@@ -2,6 +2,7 @@
 //! (section V.A).
 
 use ihd_signal::Segment;
+use ihd_signal::noise::mean_square;
 use ihd_signal::truth::PeriodTruth;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -21,6 +22,8 @@ pub struct Trial {
     pub clean: Segment,
     /// Truth, one entry a switching period.
     pub truth: Vec<PeriodTruth>,
+    /// Settings of the recording.
+    spec: CaptureSpec,
 }
 
 impl Trial {
@@ -45,16 +48,17 @@ impl Trial {
         Ok(Self {
             clean: recording.clean_segment(),
             truth: recording.truth,
+            spec: settings.clone(),
         })
     }
 
     /// Returns the truth with R and L of the fundamental from the describing function at each period's current: the values that a
     /// sinusoidal current of that amplitude would see.
     ///
+    /// # Errors
     /// [`InverterError`] if the field model has no solution.
     pub fn describing(&self) -> Result<Vec<PeriodTruth>, InverterError> {
-        let settings = CaptureSpec::default();
-        let models = field_models(&settings.pot, settings.winding_r_ohm)?;
+        let models = field_models(&self.spec.pot, self.spec.winding_r_ohm)?;
         let mut found = self.truth.clone();
         for period in &mut found {
             let z = exact(&models, period.f_sw_hz, period.i_a)?;
@@ -69,7 +73,7 @@ impl Trial {
         let Some(snr_db) = snr_db else {
             return self.clean.clone();
         };
-        let rms = |x: &[f64]| (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt();
+        let rms = |x: &[f64]| mean_square(x).sqrt();
         let noise = ConverterNoise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
         self.with_noise(noise, seed)
     }

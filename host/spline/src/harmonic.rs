@@ -19,6 +19,9 @@ type Phasor = Complex<f64>;
 /// Pairs among the four splines that are non-zero at a time.
 const PAIRS: usize = 10;
 
+/// Fewest periods of the fundamental in an interval of the spline: fewer cannot distinguish the harmonics.
+pub const MIN_INTERVAL_PERIODS: f64 = 3.0;
+
 /// Orders that are summed in one pass over a block.
 const ORDERS_PER_PASS: usize = 4;
 

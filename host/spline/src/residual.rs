@@ -38,14 +38,14 @@ pub struct Excess {
     /// Time of the first window's middle in seconds after the first sample; `step_s` is the distance to the next.
     first_s: f64,
     step_s: f64,
-    windows: Vec<Left>,
+    windows: Vec<ResidualWindow>,
     /// Squared amplitudes that count as chance, of voltage and current.
     chance: [f64; 2],
 }
 
 /// Mean squared amplitudes of the residuals around a window, and their product.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Left {
+struct ResidualWindow {
     v: f64,
     i: f64,
     /// V·I*
@@ -81,7 +81,7 @@ impl Excess {
             let near = &left
                 [w.saturating_sub(NEIGHBOUR_WINDOWS)..(w + NEIGHBOUR_WINDOWS + 1).min(left.len())];
             let n = near.len() as f64;
-            Left {
+            ResidualWindow {
                 v: near.iter().map(|[v, _]| v.norm_sqr()).sum::<f64>() / n,
                 i: near.iter().map(|[_, i]| i.norm_sqr()).sum::<f64>() / n,
                 product: near.iter().map(|[v, i]| v * i.conj()).sum::<Phasor>() / n,

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use rusqlite::Connection;
 use rusqlite::backup::{Backup, StepResult};
 
-use super::folder::{self, RECORDS};
+use super::folder::{self, RECORDS, beside};
 use super::schema;
 use super::{StoreError, database};
 
@@ -107,12 +107,6 @@ pub(crate) fn remove_leftovers(backups: &Path) {
             }
         }
     }
-}
-
-fn beside(path: &Path, ending: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(ending);
-    name.into()
 }
 
 fn into_folder(from: &Path, to: &Path) -> Result<(), StoreError> {

@@ -38,7 +38,7 @@ pub enum IntegrityCheck {
 /// [`StoreError::Damaged`] if it is not a database of ours or corrupt; [`StoreError::Newer`]; or an error of
 /// SQLite.
 pub fn open(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
-    in_the_way(path)?;
+    check_is_file(path)?;
     if !path.exists() {
         make(path, schema)?;
     }
@@ -81,7 +81,7 @@ fn connect(path: &Path, schema: &Schema, flags: OpenFlags) -> Result<Connection,
 /// # Errors
 /// The same as for [`open`].
 pub fn open_to_read(path: &Path, schema: &Schema) -> Result<Connection, StoreError> {
-    in_the_way(path)?;
+    check_is_file(path)?;
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = Connection::open_with_flags(path, flags).map_err(as_error(path, "opening"))?;
     connection
@@ -298,7 +298,7 @@ fn run_check(
 }
 
 /// Refuses a path that is not a file, and an empty file.
-fn in_the_way(path: &Path) -> Result<(), StoreError> {
+fn check_is_file(path: &Path) -> Result<(), StoreError> {
     for ending in ["", "-wal", "-shm"] {
         let mut name = path.as_os_str().to_owned();
         name.push(ending);

@@ -110,7 +110,7 @@ fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
 
 /// Returns `true` if a database of windows gives room back to the disk when its windows are thinned. Those of an earlier ihd do not, nor
 /// those that were set aside.
-pub fn shrinks(path: &Path) -> bool {
+pub fn has_incremental_vacuum(path: &Path) -> bool {
     // The header's field "incremental vacuum mode": https://sqlite.org/fileformat2.html
     let mut header = [0; 68];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut header));
@@ -124,7 +124,8 @@ pub fn size(path: &Path) -> u64 {
     length(path) + length(&beside(path, "-wal"))
 }
 
-fn beside(path: &Path, ending: &str) -> PathBuf {
+/// Returns the path with an ending after its name.
+pub fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(ending);
     name.into()

@@ -35,7 +35,7 @@ impl Store {
                 looked_at += A_BATCH;
                 continue;
             }
-            if self.delete_oldest(|path| !folder::shrinks(path))? {
+            if self.delete_oldest(|path| !folder::has_incremental_vacuum(path))? {
                 continue;
             }
             looked_at += match self.thin_older()? {
@@ -189,27 +189,27 @@ impl Store {
     }
 
     /// Takes a day's database out of the open ones, or opens it; returns it with its place.
-    fn take_day(&mut self, file: DayFile) -> Result<(Place, Day), StoreError> {
-        for place in [Place::Today, Place::Before, Place::Thinned] {
+    fn take_day(&mut self, file: DayFile) -> Result<(OpenDay, Day), StoreError> {
+        for place in [OpenDay::Today, OpenDay::Before, OpenDay::Thinned] {
             if let Some(day) = self.place(place).take_if(|day| day.file == file) {
                 return Ok((place, day));
             }
         }
-        Ok((Place::Thinned, Day::open(file)?))
+        Ok((OpenDay::Thinned, Day::open(file)?))
     }
 
-    fn place(&mut self, place: Place) -> &mut Option<Day> {
+    fn place(&mut self, place: OpenDay) -> &mut Option<Day> {
         match place {
-            Place::Today => &mut self.days.today,
-            Place::Before => &mut self.days.before,
-            Place::Thinned => &mut self.days.thinned,
+            OpenDay::Today => &mut self.days.today,
+            OpenDay::Before => &mut self.days.before,
+            OpenDay::Thinned => &mut self.days.thinned,
         }
     }
 }
 
 /// Place of an open day.
 #[derive(Clone, Copy)]
-enum Place {
+enum OpenDay {
     Today,
     Before,
     Thinned,

@@ -59,17 +59,17 @@ impl Store {
         check_days(folder, at_ms, &mut damage)?;
         let mut store = Store::new(folder, options, clock, records, lock)?;
         store.find_sessions_that_were_cut_off()?;
-        or_later(store.end_sessions_that_were_cut_off())?;
-        or_later(store.resume_recent())?;
+        log_passing_error(store.end_sessions_that_were_cut_off())?;
+        log_passing_error(store.resume_recent())?;
         for file in &damage {
-            or_later(store.event(None, "damage", &describe(file)))?;
+            log_passing_error(store.event(None, "damage", &describe(file)))?;
         }
         Ok(OpenedStore { store, damage })
     }
 }
 
 /// Logs an error that may pass by itself: a store that starts without this step can make room.
-fn or_later(done: Result<(), StoreError>) -> Result<(), StoreError> {
+fn log_passing_error(done: Result<(), StoreError>) -> Result<(), StoreError> {
     match done {
         Err(error) if error.may_pass() => {
             tracing::warn!(%error, "store: left for later");

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use ihd_signal::Capture;
 use ihd_signal::fourier::{self, RealToComplex};
+use ihd_signal::noise::mean_square;
 use ihd_signal::vectorised::{sum, vectorised};
 use nalgebra::Complex;
 
@@ -63,8 +64,8 @@ impl Lines {
         let dt_s = run.dt_s * every as f64;
         let channels = [&capture.v_v, &capture.i_a].map(|x| {
             let x = averaged(&x[run.samples.clone()], every);
-            let mean_square = x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64;
-            (x, mean_square)
+            let power = mean_square(&x);
+            (x, power)
         });
         let n = channels[0].0.len();
         let length = ((FRAME_S / dt_s) as usize).clamp(1, n.max(1));

@@ -22,6 +22,12 @@ pub struct ThermalHalfCycle {
 }
 
 impl ThermalHalfCycle {
+    /// Returns `true` if the hob heats and R and L are numbers.
+    pub fn shows_load(&self) -> bool {
+        let numbers = [self.f_hz, self.i_a, self.r_ohm, self.l_h];
+        self.heats && numbers.iter().all(|x| x.is_finite() && *x > 0.0)
+    }
+
     /// Converts telemetry, at a time in seconds from any origin.
     pub fn from_telemetry(t: &Telemetry, t_s: f64) -> Self {
         Self {
@@ -82,10 +88,7 @@ pub struct Batches {
 impl Batches {
     /// Adds a half-cycle that heats; returns a batch when one is full, or when the operating point changed.
     pub fn push(&mut self, h: &ThermalHalfCycle) -> Option<HalfCycleBatch> {
-        let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
-            .iter()
-            .all(|x| x.is_finite() && *x > 0.0);
-        if !h.heats || !usable || !h.t_s.is_finite() {
+        if !h.shows_load() || !h.t_s.is_finite() {
             return self.end();
         }
         let moved = self.first.is_none_or(|first| {

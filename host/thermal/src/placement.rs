@@ -79,10 +79,7 @@ impl PlacedPot {
 impl Placement {
     /// Adds a half-cycle that heats.
     pub fn push(&mut self, h: &ThermalHalfCycle) {
-        let usable = [h.f_hz, h.i_a, h.r_ohm, h.l_h]
-            .iter()
-            .all(|x| x.is_finite() && *x > 0.0);
-        if !h.heats || !usable {
+        if !h.shows_load() {
             return;
         }
         self.first_hz.get_or_insert(h.f_hz);

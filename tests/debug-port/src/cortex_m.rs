@@ -58,7 +58,7 @@ impl<T: Target> CortexM<T> {
     /// Reads a word through the AHB-AP.
     ///
     /// # Errors
-    /// Where nothing answers.
+    /// [`BusFault`] where nothing answers.
     pub fn read(&mut self, address: u32, bytes: u32) -> Result<u32, BusFault> {
         let stop = self.look();
         match address {
@@ -78,7 +78,7 @@ impl<T: Target> CortexM<T> {
     /// Writes a word through the AHB-AP.
     ///
     /// # Errors
-    /// Where nothing answers.
+    /// [`BusFault`] where nothing answers.
     pub fn write(&mut self, address: u32, bytes: u32, value: u32) -> Result<(), BusFault> {
         self.look();
         match address {

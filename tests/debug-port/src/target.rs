@@ -31,13 +31,13 @@ pub trait Target: Send {
     /// Reads 1, 2 or 4 bytes, aligned.
     ///
     /// # Errors
-    /// Where nothing answers.
+    /// [`BusFault`] where nothing answers.
     fn read(&mut self, address: u32, bytes: u32) -> Result<u32, BusFault>;
 
     /// Writes 1, 2 or 4 bytes, aligned.
     ///
     /// # Errors
-    /// Where nothing answers.
+    /// [`BusFault`] where nothing answers.
     fn write(&mut self, address: u32, bytes: u32, value: u32) -> Result<(), BusFault>;
 
     /// A register of the core, which stands still.

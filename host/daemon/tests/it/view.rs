@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use ihd_daemon::{Daemon, DaemonError, JournalFilter};
-use ihd_model::{Command, DeviceState, EventKind, Fit, History, WindowQuery};
+use ihd_model::{Command, DeviceState, EventKind, Fit, History, Live, Scope, WindowQuery};
 use ihd_sim::behavioural::PotKind;
 
 use super::rig::{
@@ -33,48 +33,27 @@ async fn kinds(daemon: &Daemon, kind: &str) -> Vec<String> {
     entries.into_iter().map(|entry| entry.text).collect()
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
-    let rig = Rig::new(&["bench"]);
-    let daemon = rig.daemon().await;
-    let began_ms = now_ms();
-    until_state(&daemon, DeviceState::Idle).await;
-    let mut events = daemon.watch();
-    power(&daemon, "me", 1_200).await.unwrap();
-    let held = keep_lease(&daemon, "me");
-    wait_for_event(&mut events, |kind| {
-        matches!(kind, EventKind::LookupActive { .. }).then_some(())
-    })
-    .await;
-    let report = until(&daemon, |r| {
-        // The reported power is the mean of a second, which begins with none.
-        let is_steady = r.live.as_ref().is_some_and(|live| live.power_w > 1_100.0);
-        r.windows.learned >= 3 && r.lookup.on_device == r.lookup.active && is_steady
-    })
-    .await;
-    let live = report.live.unwrap();
-
-    // The scope: samples, the device's own filter, the network and the truth.
-    let windows = daemon.view().windows("bench", 100).await.unwrap();
-    assert!(windows.len() >= 3 && windows.is_sorted_by(|a, b| a.seq > b.seq));
-    // A window that passed, with its truth and all curves.
+/// Returns a window that passed, with its truth and all curves.
+async fn passed_window(daemon: &Daemon) -> Scope {
     let deadline = Instant::now() + PATIENCE;
-    let scope = 'search: loop {
+    loop {
         for window in daemon.view().windows("bench", 100).await.unwrap() {
             let which = Some((window.boot, window.seq));
-            let scope = daemon
-                .view()
-                .scope("bench", WindowQuery { which, ..WHOLE })
-                .await;
+            let query = WindowQuery { which, ..WHOLE };
+            let scope = daemon.view().scope("bench", query).await;
             let scope = scope.unwrap().expect("its samples are kept");
             let is_whole = scope.network.is_some() && scope.truth.is_some();
             if scope.pass == Some(true) && scope.r_true_mean_ohm.is_some() && is_whole {
-                break 'search scope;
+                return scope;
             }
         }
         assert!(Instant::now() < deadline, "none passed");
         nap().await;
-    };
+    }
+}
+
+/// Checks samples, the device's own filter, the network and the truth of a window.
+fn check_scope(scope: &Scope, live: &Live) {
     assert_eq!(scope.t_s.len(), 1_200);
     let m = &scope.measured;
     assert!(m.periods > 300, "{m:?}");
@@ -119,20 +98,10 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
             "{name}: {r_ohm} {crest_ohm}"
         );
     }
-    let unknown = WindowQuery {
-        which: Some((1, 4_000_000)),
-        ..WHOLE
-    };
-    assert!(
-        daemon
-            .view()
-            .scope("bench", unknown)
-            .await
-            .unwrap()
-            .is_none()
-    );
+}
 
-    // The training.
+/// Checks the fits with their truth.
+async fn check_training(daemon: &Daemon) {
     let fits = daemon.view().training("bench", 50).await.unwrap();
     let with_truth = |fit: &&Fit| fit.pass && fit.r_error_pct.is_some();
     let fit = fits.iter().find(with_truth).unwrap();
@@ -140,11 +109,15 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
     assert_eq!(fit.steps.last().unwrap().step, fit.iterations);
     assert!(fit.r_error_pct.unwrap().abs() < 1.0 && fit.l_error_pct.unwrap().abs() < 1.0);
     assert_eq!(daemon.view().training("bench", 1).await.unwrap().len(), 1);
+}
 
-    // The map.
-    // No physical pot has this load's law, so one frequency tells little of the rows beside it: few cells are known from it, or none.
-    // A second power brings a second frequency, and the cells between both become known.
-    power(&daemon, "me", 1_800).await.unwrap();
+/// Checks the map's known cells, their deviations and ages, and the built-in lookup.
+///
+/// No physical pot has this load's law, so one frequency tells little of the rows beside it: few cells are known from it, or none.
+/// A second power brings a second frequency, and the cells between both become known.
+async fn check_map(daemon: &Daemon, began_ms: i64) {
+    let deadline = Instant::now() + PATIENCE;
+    power(daemon, "me", 1_800).await.unwrap();
     let map = loop {
         let map = daemon.view().map("bench", None).await.unwrap().unwrap();
         let confidence = map.confidence.as_ref().expect("built by this daemon");
@@ -185,32 +158,25 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
             .unwrap()
             .is_none()
     );
+}
 
-    // A pot that is lifted, after some whole seconds of heating for the history to show.
-    let history = |daemon: Daemon| async move {
-        daemon
-            .view()
-            .history("bench", began_ms, now_ms(), 600)
-            .await
-            .unwrap()
-    };
-    let heated = |history: &History| {
-        let seconds = 0..history.at_ms.len();
-        seconds
-            .filter(|k| history.r_ohm.mean[*k].is_some())
-            .collect::<Vec<_>>()
-    };
-    while heated(&history(daemon.clone()).await).len() < 2 {
-        assert!(Instant::now() < deadline, "no seconds of heating");
-        nap().await;
-    }
-    rig.bench().hob().set_pot(PotKind::None).unwrap();
-    until_state(&daemon, DeviceState::WaitingForPot).await;
-    drop(held);
-    daemon.command("bench", "me", Command::Off).await.unwrap();
-    until_state(&daemon, DeviceState::Idle).await;
-    let off_ms = now_ms();
-    // Events are stored shortly after.
+/// Returns the history since a time.
+async fn history_since(daemon: &Daemon, began_ms: i64) -> History {
+    let view = daemon.view();
+    let history = view.history("bench", began_ms, now_ms(), 600).await;
+    history.unwrap()
+}
+
+/// Returns the seconds of a history in which the hob heated.
+fn heated_seconds(history: &History) -> Vec<usize> {
+    (0..history.at_ms.len())
+        .filter(|k| history.r_ohm.mean[*k].is_some())
+        .collect()
+}
+
+/// Waits for the events of a heating that ended with a lifted pot; they are stored shortly after.
+async fn check_journal(daemon: &Daemon) {
+    let deadline = Instant::now() + PATIENCE;
     for (kind, expected) in [
         ("pot", "lifted"),
         ("state", "waiting-for-pot"),
@@ -218,7 +184,7 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         ("lease", "me commands it"),
         ("command", "off: off"),
     ] {
-        while !kinds(&daemon, kind)
+        while !kinds(daemon, kind)
             .await
             .iter()
             .any(|text| text.contains(expected))
@@ -227,50 +193,34 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
             nap().await;
         }
     }
+}
 
-    // The history, while the daemon runs and after a restart.
-    let before = loop {
-        // It includes the last seconds, which are not written yet.
-        let before = history(daemon.clone()).await;
-        if before.at_ms.last() >= Some(&off_ms) {
-            break before;
-        }
-        assert!(Instant::now() < deadline, "it ends before {off_ms}");
-        nap().await;
-    };
+/// Checks the history of a heating that has ended.
+async fn check_history(daemon: &Daemon, history: &History) {
     // Results have the times of their windows.
-    let came: Vec<_> = daemon.view().windows("bench", 1_000).await.unwrap();
+    let came = daemon.view().windows("bench", 1_000).await.unwrap();
     let came: Vec<_> = came.iter().map(|window| window.at_ms).collect();
-    assert!(before.results.at_ms.len() >= 3);
-    for at_ms in &before.results.at_ms {
+    let results = &history.results;
+    assert!(results.of >= 3 && results.at_ms.len() as u64 == results.of);
+    for at_ms in &results.at_ms {
         assert!(came.contains(at_ms), "{at_ms} of {came:?}");
     }
-    let last = before.at_ms.len() - 1;
-    let largest_w = before
-        .power_w
-        .max
-        .iter()
-        .flatten()
-        .copied()
-        .fold(0.0, f64::max);
+    let powers_w = history.power_w.max.iter().flatten().copied();
+    let largest_w = powers_w.fold(0.0, f64::max);
     assert!(largest_w > 1_000.0, "{largest_w}");
-    let heated = heated(&before);
-    assert!(heated.len() >= 2 && heated.len() < before.at_ms.len());
-    assert!(before.phase_deg[heated[1]].is_some());
-    assert_eq!(before.state[last], "Idle");
-    assert!(before.results.of >= 3 && before.results.at_ms.len() as u64 == before.results.of);
+    let heated = heated_seconds(history);
+    assert!(heated.len() >= 2 && heated.len() < history.at_ms.len());
+    assert!(history.phase_deg[heated[1]].is_some());
+    assert_eq!(history.state.last().map(String::as_str), Some("Idle"));
     let unknown = daemon.view().history("nobody", 0, 1, 1).await;
     assert!(matches!(unknown, Err(DaemonError::NoDevice(_))));
-    daemon.stop().await;
+}
 
-    let daemon = rig.daemon().await;
-    let after = history(daemon.clone()).await;
+/// Checks what a daemon shows of the time before its start: nothing is lost by a stop.
+async fn check_restart(daemon: &Daemon, after: &History, before: &History, scope: &Scope) {
+    // The last second may not have been over.
     let common = before.at_ms.len() - 1;
-    assert_eq!(
-        after.at_ms[..common],
-        before.at_ms[..common],
-        "nothing is lost by a stop"
-    );
+    assert_eq!(after.at_ms[..common], before.at_ms[..common]);
     assert_eq!(after.half_cycles[..common], before.half_cycles[..common]);
     assert!(after.results.of >= before.results.of);
     let which = Some((scope.boot, scope.seq));
@@ -284,6 +234,75 @@ async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
         fits.iter().any(|f| f.pass && f.steps.is_empty()),
         "as the store has them"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_hob_does_is_seen_from_all_sides_and_after_a_restart() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    let began_ms = now_ms();
+    until_state(&daemon, DeviceState::Idle).await;
+    let mut events = daemon.watch();
+    power(&daemon, "me", 1_200).await.unwrap();
+    let held = keep_lease(&daemon, "me");
+    wait_for_event(&mut events, |kind| {
+        matches!(kind, EventKind::LookupActive { .. }).then_some(())
+    })
+    .await;
+    let report = until(&daemon, |r| {
+        // The reported power is the mean of a second, which begins with none.
+        let is_steady = r.live.as_ref().is_some_and(|live| live.power_w > 1_100.0);
+        r.windows.learned >= 3 && r.lookup.on_device == r.lookup.active && is_steady
+    })
+    .await;
+
+    let windows = daemon.view().windows("bench", 100).await.unwrap();
+    assert!(windows.len() >= 3 && windows.is_sorted_by(|a, b| a.seq > b.seq));
+    let scope = passed_window(&daemon).await;
+    check_scope(&scope, &report.live.unwrap());
+    let unknown = WindowQuery {
+        which: Some((1, 4_000_000)),
+        ..WHOLE
+    };
+    assert!(
+        daemon
+            .view()
+            .scope("bench", unknown)
+            .await
+            .unwrap()
+            .is_none()
+    );
+    check_training(&daemon).await;
+    check_map(&daemon, began_ms).await;
+
+    // A pot that is lifted, after some whole seconds of heating for the history to show.
+    let deadline = Instant::now() + PATIENCE;
+    while heated_seconds(&history_since(&daemon, began_ms).await).len() < 2 {
+        assert!(Instant::now() < deadline, "no seconds of heating");
+        nap().await;
+    }
+    rig.bench().hob().set_pot(PotKind::None).unwrap();
+    until_state(&daemon, DeviceState::WaitingForPot).await;
+    drop(held);
+    daemon.command("bench", "me", Command::Off).await.unwrap();
+    until_state(&daemon, DeviceState::Idle).await;
+    let off_ms = now_ms();
+    check_journal(&daemon).await;
+    let before = loop {
+        // It includes the last seconds, which are not written yet.
+        let before = history_since(&daemon, began_ms).await;
+        if before.at_ms.last() >= Some(&off_ms) {
+            break before;
+        }
+        assert!(Instant::now() < deadline, "it ends before {off_ms}");
+        nap().await;
+    };
+    check_history(&daemon, &before).await;
+    daemon.stop().await;
+
+    let daemon = rig.daemon().await;
+    let after = history_since(&daemon, began_ms).await;
+    check_restart(&daemon, &after, &before, &scope).await;
     daemon.stop().await;
 }
 

@@ -1,5 +1,6 @@
 //! Classification of a USB device by its ids and name.
 
+use ihd_flash::dfu::{PRODUCT_ID as BOOTLOADER, VENDOR_ID as ST};
 use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
 
 use super::UsbDevice;
@@ -37,8 +38,7 @@ impl UsbKind {
     }
 }
 
-/// Vendor ids of ST and SEGGER.
-const ST: u16 = 0x0483;
+/// Vendor id of SEGGER.
 const SEGGER: u16 = 0x1366;
 
 /// Classifies a device; `None` for one of no interest.
@@ -49,7 +49,7 @@ pub fn kind(device: &UsbDevice) -> Option<UsbKind> {
             let ours = device.name.is_empty() || device.name.starts_with(PRODUCT);
             ours.then_some(UsbKind::Board)
         }
-        (ST, 0xDF11) => Some(UsbKind::Bootloader),
+        (ST, BOOTLOADER) => Some(UsbKind::Bootloader),
         (ST, 0x3742..=0x375F) => Some(UsbKind::StLink),
         (SEGGER, 0x0101..=0x01FF | 0x1001..=0x10FF) => Some(UsbKind::JLink),
         _ if device.name.contains("CMSIS-DAP") => Some(UsbKind::CmsisDap),

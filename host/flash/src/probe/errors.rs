@@ -2,6 +2,7 @@
 
 use std::error::Error as StdError;
 
+use ihd_shared::image::FLASH_ADDRESS;
 use ihd_signal::printable::printable;
 use probe_rs::Error;
 use probe_rs::flashing::FlashError;
@@ -85,7 +86,7 @@ pub fn place(error: &FlashError) -> Option<(FlashStep, u32)> {
         FlashError::PageWrite { page_address, .. } => {
             Some((FlashStep::Programming, *page_address as u32))
         }
-        FlashError::ChipEraseFailed { .. } => Some((FlashStep::Erasing, 0x0800_0000)),
+        FlashError::ChipEraseFailed { .. } => Some((FlashStep::Erasing, FLASH_ADDRESS)),
         _ => None,
     }
 }

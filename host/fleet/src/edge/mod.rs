@@ -29,7 +29,7 @@ pub(crate) mod state;
 mod states;
 #[cfg(test)]
 mod tests;
-mod trust;
+pub(crate) mod trust;
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

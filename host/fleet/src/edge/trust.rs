@@ -10,7 +10,7 @@ use ihd_daemon::fleet::DELEGATION_TIME;
 use tokio::time::Instant;
 
 /// Time after which a missing result is ignored: by then later windows show that the fleet answers.
-const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
+pub const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
 /// Most unanswered windows; with more the fleet is behind in any case.
 const MAX_UNANSWERED: usize = 8_192;

@@ -10,15 +10,13 @@ use tokio::time::{Instant, sleep};
 
 use super::line::{SimulatedConnection, SimulatedKey};
 use super::workers::LIAR;
+use crate::edge::trust::FORGOTTEN_AFTER;
 
 /// Period of the checks.
 const CHECK_EVERY: Duration = Duration::from_millis(100);
 
 /// Longest time from an acknowledgement to its record: a batch has 8 s, then waits for the store.
 const NOTED_WITHIN: Duration = Duration::from_secs(10);
-
-/// Time after which the edge ignores a missing result.
-const FORGOTTEN_AFTER: Duration = Duration::from_secs(300);
 
 /// Largest deviation of a confirmed answer from the truth in percent: error and noise of the check.
 const BELIEVED_PCT: f64 = 0.1;

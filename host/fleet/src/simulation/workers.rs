@@ -46,7 +46,7 @@ pub async fn work(line: SimulatedConnection, seed: u64) {
         };
         for (number, message, times) in given {
             let (line, seed) = (line.clone(), rng.random());
-            let place = Place { disk, number };
+            let place = QueuePosition { disk, number };
             tokio::spawn(deal(line, place, message, times, seed));
         }
     }
@@ -54,14 +54,14 @@ pub async fn work(line: SimulatedConnection, seed: u64) {
 
 /// Place of a window in the queue.
 #[derive(Clone, Copy)]
-struct Place {
+struct QueuePosition {
     disk: u32,
     number: u64,
 }
 
 async fn deal(
     line: SimulatedConnection,
-    place: Place,
+    place: QueuePosition,
     message: StreamEntry,
     times: u32,
     seed: u64,
@@ -103,7 +103,7 @@ async fn deal(
     done(&line, place);
 }
 
-fn done(line: &SimulatedConnection, place: Place) {
+fn done(line: &SimulatedConnection, place: QueuePosition) {
     let mut disk = line.memory.disk();
     if disk.before == place.disk {
         disk.windows.ack(place.number);
@@ -127,7 +127,12 @@ fn publish(line: &SimulatedConnection, (subject, payload): (String, Bytes), afte
     }
 }
 
-fn bury(line: &SimulatedConnection, place: Place, message: &StreamEntry, window: &WindowMessage) {
+fn bury(
+    line: &SimulatedConnection,
+    place: QueuePosition,
+    message: &StreamEntry,
+    window: &WindowMessage,
+) {
     let subject = names::dead_letter(&window.hob, window.boot, window.window.seq);
     publish(line, (subject.clone(), message.payload.clone()), Some(0));
     let mut disk = line.memory.disk();

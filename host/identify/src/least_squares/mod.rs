@@ -12,9 +12,9 @@ mod rational;
 use std::time::Instant;
 
 use ihd_signal::Segment;
-use ihd_signal::SegmentError;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::segment::MIN_PERIODS;
+use ihd_spline::harmonic::MIN_INTERVAL_PERIODS;
 use serde::{Deserialize, Serialize};
 
 use super::model_residual::ModelResidual;
@@ -46,7 +46,7 @@ impl Default for LeastSquaresSettings {
 /// Fits every half-cycle of the segment that is long enough; one estimate per switching period. `noise` is the segment's.
 ///
 /// # Errors
-/// [`SegmentError::TooShort`] if no half-cycle is long enough, [`IdentifyError::Unfit`] if the
+/// [`ihd_signal::SegmentError::TooShort`] if no half-cycle is long enough, [`IdentifyError::Unfit`] if the
 /// samples cannot distinguish the harmonics.
 pub fn identify(
     segment: &Segment,
@@ -65,11 +65,7 @@ pub fn identify(
         }
     }
     if estimate.t_s.is_empty() {
-        return Err(SegmentError::TooShort {
-            periods: segment.len() as f64 / segment.samples_per_period(),
-            needed: MIN_PERIODS,
-        }
-        .into());
+        return Err(segment.too_short(MIN_PERIODS).into());
     }
     residual.note_in(&mut estimate);
     estimate.elapsed = started.elapsed();
@@ -80,7 +76,8 @@ pub fn identify(
 fn intervals(per_half_cycle: usize, duration_s: f64, segment: &Segment) -> usize {
     let share = (duration_s / segment.half_cycle_s()).min(1.0);
     let ideal = (per_half_cycle as f64 * share).round().max(1.0);
-    // At least three switching periods per interval, because fewer cannot distinguish the harmonics.
-    let most = (duration_s * segment.f_sw_hz / 3.0).floor().max(1.0);
+    let most = (duration_s * segment.f_sw_hz / MIN_INTERVAL_PERIODS)
+        .floor()
+        .max(1.0);
     ideal.min(most) as usize
 }

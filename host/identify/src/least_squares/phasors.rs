@@ -7,16 +7,13 @@ use ihd_signal::Segment;
 use ihd_signal::fourier::sinc;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::vectorised::{dot, vectorised};
-use ihd_spline::harmonic::{HarmonicFit, phasor};
+use ihd_spline::harmonic::{HarmonicFit, MIN_INTERVAL_PERIODS, phasor};
 use ihd_spline::residual::Excess;
 use ihd_spline::{CubicSpline, quiet_interval_s};
 use nalgebra::Complex;
 
 use super::{LeastSquaresSettings, intervals};
 use crate::{IdentifyError, Method};
-
-/// Fewest switching periods of a spline's interval: fewer cannot distinguish the harmonics.
-const MIN_PERIODS: f64 = 3.0;
 
 /// Duration of the bridge's edges in seconds, from the hob's ratings.
 const EDGE_S: f64 = ihd_shared::hob::EDGE_NS as f64 * 1e-9;
@@ -90,8 +87,11 @@ impl SplineFit {
         let count = intervals(settings.phasor_intervals, duration_s, segment);
         let noise_of = relative_noise(v_v, noise.v_v).max(relative_noise(i_a, noise.i_a));
         let quiet = quiet_interval_s(noise_of, segment.dt_s, segment.half_cycle_s());
-        let spline =
-            CubicSpline::graded(count, duration_s, quiet.max(MIN_PERIODS / segment.f_sw_hz));
+        let spline = CubicSpline::graded(
+            count,
+            duration_s,
+            quiet.max(MIN_INTERVAL_PERIODS / segment.f_sw_hz),
+        );
         let block = ((per_period / BLOCKS_PER_PERIOD).round() as usize).max(1);
         let fit = HarmonicFit {
             spline: &spline,

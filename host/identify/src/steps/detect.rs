@@ -210,10 +210,9 @@ impl Frames {
     /// Locates the step near `near_s`: the time in seconds up to which the impedance `a` explains the samples, and after which `b`
     /// does. Minimises the squared errors of v = R·i + L·di/dt over sixths of a period.
     fn place(&self, segment: &Segment, near_s: f64, a: Complex<f64>, b: Complex<f64>) -> f64 {
-        let index = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
         let reach_s = NEAR_PERIODS * self.step_s;
-        let from = index(near_s - reach_s);
-        let to = (index(near_s + reach_s) + 1).min(segment.len());
+        let from = segment.index_at(near_s - reach_s);
+        let to = (segment.index_at(near_s + reach_s) + 1).min(segment.len());
         let length = (segment.samples_per_period() / 6.0).round().max(1.0) as usize;
         let near = segment.part(from, to);
         let error = |k: usize, z: Complex<f64>| {

@@ -86,13 +86,8 @@ fn joined(
     for piece in pieces(segment, steps) {
         let (from_s, to_s) = piece.between_s;
         let part = segment.part(piece.samples.start, piece.samples.end);
-        let periods = part.len() as f64 / part.samples_per_period();
-        let result = if periods < MIN_PERIODS {
-            Err(ihd_signal::SegmentError::TooShort {
-                periods,
-                needed: MIN_PERIODS,
-            }
-            .into())
+        let result = if part.periods() < MIN_PERIODS {
+            Err(part.too_short(MIN_PERIODS).into())
         } else {
             identify(&part, &shortened(settings, &part))
         };
@@ -107,7 +102,7 @@ fn joined(
                 let left_out = Remark::new("piece_left_out", Severity::Warning, text);
                 whole
                     .remarks
-                    .push(left_out.with(periods, Some(MIN_PERIODS)));
+                    .push(left_out.with(part.periods(), Some(MIN_PERIODS)));
                 failed = Some(e);
             }
         }
@@ -139,8 +134,10 @@ fn pieces(segment: &Segment, steps: &[Step]) -> Vec<Piece> {
         .windows(2)
         .enumerate()
         .map(|(k, between)| {
-            let at = |t_s: f64| ((t_s - segment.t0_s) / segment.dt_s).round().max(0.0) as usize;
-            let (from, to) = (at(between[0]), at(between[1]).min(segment.len()));
+            let (from, to) = (
+                segment.index_at(between[0]),
+                segment.index_at(between[1]).min(segment.len()),
+            );
             let sides = usize::from(k > 0) + usize::from(k < last);
             let periods = (to - from) as f64 / per_period;
             // One sample more on either side for rounding.

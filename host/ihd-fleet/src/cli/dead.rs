@@ -15,11 +15,11 @@ use super::{AccessArgs, ago};
 #[command(after_help = "Example: ihd-fleet retry --hob bench")]
 pub struct RetryArgs {
     #[command(flatten)]
-    which: Which,
+    which: DeadWindowArgs,
 }
 
 #[derive(Debug, Args)]
-pub(super) struct Which {
+pub(super) struct DeadWindowArgs {
     /// Only windows of this hob
     #[arg(long, value_name = "HOB")]
     hob: Option<String>,
@@ -28,7 +28,7 @@ pub(super) struct Which {
     number: Option<u64>,
 }
 
-impl Which {
+impl DeadWindowArgs {
     fn filter(&self) -> Result<DeadFilter> {
         if let Some(hob) = &self.hob {
             ensure_usage!(is_name(hob), "--hob {hob:?}: no hob has such a name");
@@ -40,7 +40,7 @@ impl Which {
     }
 }
 
-impl Which {
+impl DeadWindowArgs {
     /// Returns `true` if some windows alone are named.
     pub(super) fn is_given(&self) -> bool {
         self.hob.is_some() || self.number.is_some()

@@ -10,7 +10,7 @@ use ihd_fleet::{claims, names, status};
 use ihd_model::{FleetDevice, FleetEdge, FleetReport};
 use serde::Serialize;
 
-use super::dead::Which;
+use super::dead::DeadWindowArgs;
 use super::{AccessArgs, StatusCheckFailed, ago};
 
 /// State of the fleet, with the edges that are missing in it.
@@ -40,7 +40,7 @@ pub struct StatusArgs {
     #[arg(long)]
     outdated: bool,
     #[command(flatten)]
-    which: Which,
+    which: DeadWindowArgs,
     /// With dead: delete them for good
     #[arg(long)]
     delete: bool,
@@ -113,7 +113,7 @@ impl StatusArgs {
             true => say!("{}", serde_json::to_string_pretty(&status)?)?,
             false => say!("{}", report_text(&status).trim_end())?,
         }
-        match amiss(&status) {
+        match describe_problem(&status) {
             Some(why) if self.check => Err(StatusCheckFailed(why).into()),
             _ => Ok(()),
         }
@@ -121,7 +121,7 @@ impl StatusArgs {
 }
 
 /// Returns all that needs somebody; `None` if nothing does.
-fn amiss(status: &FleetStatus) -> Option<String> {
+fn describe_problem(status: &FleetStatus) -> Option<String> {
     let report = &status.report;
     let mut reasons: Vec<String> = silences(status).chain(alarms(report)).collect();
     if status.silent_edges.is_none() {
@@ -325,7 +325,7 @@ mod tests {
                 ..FleetReport::default()
             };
             let claimed = vec!["lab-1".to_owned(), "lab-2".to_owned()];
-            amiss(&FleetStatus::new(report, Some(claimed)))
+            describe_problem(&FleetStatus::new(report, Some(claimed)))
         };
         assert_eq!(status(&["lab-1", "lab-2"], 30_000), None);
         let why = status(&["lab-2", "lab-1.refused"], 30_000).unwrap();
@@ -336,6 +336,6 @@ mod tests {
         let why = status(&["lab-1", "lab-2"], 30_001).unwrap();
         assert!(why.contains("hob bench of edge lab-1"), "{why}");
         // A key that may not list the names never says that all is well.
-        assert!(amiss(&FleetStatus::new(FleetReport::default(), None)).is_some());
+        assert!(describe_problem(&FleetStatus::new(FleetReport::default(), None)).is_some());
     }
 }

@@ -10,7 +10,7 @@ use async_nats::{Client, ConnectOptions};
 use ihd_fleet::jetstream::{FleetLimits, init, init_edge};
 use ihd_fleet::server_config::{EdgeAccount, Site, TlsFiles, UserKey, server_config};
 
-use crate::server::{Place, Server};
+use crate::server::{Server, ServerLocation};
 
 /// The server, the keys of all clients, and the server's certificate.
 pub struct Lab {
@@ -56,7 +56,7 @@ impl Lab {
         for site in &mut self.sites {
             site.edges.retain(|edge| edge.name != name);
         }
-        let place = Place {
+        let place = ServerLocation {
             address: match self.server.address().ip() {
                 std::net::IpAddr::V4(address) => address,
                 std::net::IpAddr::V6(other) => panic!("{other}"),
@@ -114,7 +114,7 @@ impl Lab {
 }
 
 /// Returns the server's settings for a place; writes its certificate there.
-fn at(place: &Place) -> ihd_fleet::server_config::ServerSettings {
+fn at(place: &ServerLocation) -> ihd_fleet::server_config::ServerSettings {
     let names = vec!["localhost".to_owned(), place.address.to_string()];
     let made = rcgen::generate_simple_self_signed(names).unwrap();
     fs::write(place.folder.join("certificate.pem"), made.cert.pem()).unwrap();
@@ -126,7 +126,7 @@ fn at(place: &Place) -> ihd_fleet::server_config::ServerSettings {
     settings(place)
 }
 
-fn settings(place: &Place) -> ihd_fleet::server_config::ServerSettings {
+fn settings(place: &ServerLocation) -> ihd_fleet::server_config::ServerSettings {
     let any = format!("{}:-1", place.address);
     ihd_fleet::server_config::ServerSettings {
         name: "ihd-test".to_owned(),

@@ -20,7 +20,7 @@ pub const PROGRAM: &str = "IHD_NATS_SERVER";
 const POLL_PERIOD: Duration = Duration::from_millis(5);
 
 /// Address and folder of a server, for its configuration.
-pub struct Place {
+pub struct ServerLocation {
     /// Its own address of the loopback. No other process has the port, and a client that reconnects while the server is
     /// down never gets the server's port as its source port.
     pub address: Ipv4Addr,
@@ -28,7 +28,7 @@ pub struct Place {
     pub folder: PathBuf,
 }
 
-impl Place {
+impl ServerLocation {
     /// Returns the value of `listen:`: this address and any free port.
     pub fn any_port(&self) -> String {
         format!("\"{}:-1\"", self.address)
@@ -64,11 +64,11 @@ impl Server {
     }
 
     /// Starts a server with the configuration that `write` returns for its place.
-    pub fn configured(write: impl FnOnce(&Place) -> String) -> Self {
+    pub fn configured(write: impl FnOnce(&ServerLocation) -> String) -> Self {
         let folder = tempfile::Builder::new().prefix("ihd-nats-").tempdir();
         let folder = folder.expect("a folder for the server");
         let address = own_address();
-        let place = Place {
+        let place = ServerLocation {
             address,
             folder: folder.path().to_owned(),
         };

@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use serde::{Deserialize, Serialize};
 
-use crate::misfit::{Place, current_of_knots};
+use crate::misfit::{MapPoint, current_of_knots};
 
 /// Frequencies in hertz of the stored shape; like the knots of its current axis they are closer than the misfit's correlation.
 const FREQUENCIES_HZ: [f64; 4] = [32e3, 44e3, 60e3, 82e3];
@@ -34,8 +34,8 @@ pub fn places() -> Vec<(f64, f64)> {
     FREQUENCIES_HZ.into_iter().flat_map(of).collect()
 }
 
-static AT: LazyLock<Vec<Place>> = LazyLock::new(|| {
-    let of = |(f_hz, i_a): (f64, f64)| Place::new(f_hz, i_a);
+static AT: LazyLock<Vec<MapPoint>> = LazyLock::new(|| {
+    let of = |(f_hz, i_a): (f64, f64)| MapPoint::new(f_hz, i_a);
     places().into_iter().map(of).collect()
 });
 
@@ -125,7 +125,7 @@ impl Shape {
 
     /// ln R and ln L beside the physics at a frequency in hertz and a current in ampere.
     pub fn at(&self, f_hz: f64, i_a: f64) -> [f64; 2] {
-        let here = Place::new(f_hz, i_a);
+        let here = MapPoint::new(f_hz, i_a);
         let near = DVector::from_iterator(POINTS, AT.iter().map(|at| at.correlation(here)));
         [0, 1].map(|x| near.dot(&self.weights[x]))
     }
@@ -137,8 +137,8 @@ impl Shape {
             i_a: [low_a, high_a],
             misfit,
         } = self.state.range;
-        let nearest = Place::new(f_hz.clamp(low_hz, high_hz), i_a.clamp(low_a, high_a));
-        let common = Place::new(f_hz, i_a).correlation(nearest).powi(2);
+        let nearest = MapPoint::new(f_hz.clamp(low_hz, high_hz), i_a.clamp(low_a, high_a));
+        let common = MapPoint::new(f_hz, i_a).correlation(nearest).powi(2);
         misfit.map(|tau| tau * tau * ((1.0 - common).max(0.0) + TRANSFER * TRANSFER))
     }
 }

@@ -39,7 +39,7 @@ const MAX_RESIDUAL: f64 = 0.6;
 
 /// Place in a half-cycle: the current's amplitude in ampere and the cosine of the mains' phase.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Place {
+pub(crate) struct HalfCyclePoint {
     pub i_a: f64,
     pub cosine: f64,
 }
@@ -49,7 +49,7 @@ pub(crate) struct Place {
 pub(crate) struct Window {
     pub physics: SlowPhysics,
     /// Place at each slow time.
-    pub places: Vec<Place>,
+    pub places: Vec<HalfCyclePoint>,
     /// Variance of one residual.
     pub noise: f64,
 }
@@ -125,7 +125,7 @@ impl LawFit {
     }
 
     /// R / r_scale and L / l_scale at a place, and their variances.
-    pub fn at(&self, place: Place) -> ([f64; OUTPUTS], [f64; OUTPUTS]) {
+    pub fn at(&self, place: HalfCyclePoint) -> ([f64; OUTPUTS], [f64; OUTPUTS]) {
         let row = row(&self.splines, place);
         let functions = self.coefficients.len() / OUTPUTS;
         let value = |o: usize| {
@@ -160,7 +160,7 @@ fn axis(i_a: f64) -> f64 {
     (i_a / KNEE_A).ln_1p()
 }
 
-fn row(splines: &[CubicSpline; 2], place: Place) -> Row {
+fn row(splines: &[CubicSpline; 2], place: HalfCyclePoint) -> Row {
     let [law, flanks] = splines;
     let z = axis(place.i_a);
     let (first, values) = law.values_at(z);

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use super::inputs::Inputs;
 use super::misfit::Misfit;
 use super::result::Curves;
-use crate::at_once::{LawFit, Place, Widths, Window};
+use crate::at_once::{HalfCyclePoint, LawFit, Widths, Window};
 use crate::harmonic_branch::HarmonicBranch;
 use crate::loss::{SlowPhysics, slow_times_s};
 use crate::noise::{noise_variance, white_noise};
@@ -123,9 +123,9 @@ impl<'a> LawWindow<'a> {
     }
 }
 
-fn place(samples: &NormalisedWaveform, branch: &HarmonicBranch, tau_s: f64) -> Place {
+fn place(samples: &NormalisedWaveform, branch: &HarmonicBranch, tau_s: f64) -> HalfCyclePoint {
     let phase = TAU * samples.f_mains_hz * (samples.t0_s + tau_s);
-    Place {
+    HalfCyclePoint {
         i_a: branch.amplitude(tau_s) * samples.i_max_ampere,
         cosine: phase.cos(),
     }

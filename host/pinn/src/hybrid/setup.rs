@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use ihd_signal::noise::mean_square;
+use ihd_spline::harmonic::MIN_INTERVAL_PERIODS;
 use ihd_spline::{CubicSpline, quiet_interval_s};
 
 use crate::harmonic_branch::{HarmonicBasis, HarmonicBranch};
@@ -10,9 +12,6 @@ use crate::loss::{SlowPhysics, slow_times_s};
 use crate::parameters::Parameters;
 use crate::waveform::NormalisedWaveform;
 use crate::{PinnConfig, PinnError};
-
-/// Fewest switching periods of a spline's interval, so that the harmonics can be distinguished.
-const MIN_PERIODS: f64 = 3.0;
 
 /// Functions of the VI branch; an error if the samples cannot distinguish them.
 pub(super) fn harmonic_basis(
@@ -46,11 +45,10 @@ fn spline(samples: &NormalisedWaveform, intervals: usize, config: &PinnConfig) -
         .into_iter()
         .zip(noise.into_iter().zip(unit));
     let quiet_s = channels.map(|(x, (sigma, unit))| {
-        let mean_square = x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64;
         let variance = (sigma / unit).powi(2) / samples.block as f64;
-        quiet_interval_s(variance / mean_square, samples.dt_s, half_cycle_s)
+        quiet_interval_s(variance / mean_square(x), samples.dt_s, half_cycle_s)
     });
-    let least_s = MIN_PERIODS * TAU / samples.omega;
+    let least_s = MIN_INTERVAL_PERIODS * TAU / samples.omega;
     CubicSpline::graded(intervals, duration_s, quiet_s.fold(least_s, f64::max))
 }
 
@@ -81,7 +79,7 @@ fn check_length(
     for (needed, why) in [
         (4 * basis.len(), "four per unknown"),
         (
-            (MIN_PERIODS * per_period * intervals as f64).ceil() as usize,
+            (MIN_INTERVAL_PERIODS * per_period * intervals as f64).ceil() as usize,
             "three switching periods per spline interval",
         ),
     ] {

@@ -4,7 +4,7 @@ mod font;
 
 use zeno::{Command, Join, Mask, Stroke, Style, Vector};
 
-use crate::drawing::{Colour, Drawing, DrawingError, Mark, Outline, PathStep, Place, Words};
+use crate::drawing::{Colour, Drawing, DrawingError, Mark, Outline, PathStep, Pixels, Words};
 
 /// Pixels for one of the drawing's, which is 1/96 inch.
 const SCALE: f32 = 2.0;
@@ -36,7 +36,7 @@ struct Raster {
 }
 
 impl Raster {
-    fn new((width, height): Place) -> Self {
+    fn new((width, height): Pixels) -> Self {
         let [width, height] = [width, height].map(|side| (side * SCALE).round() as u32);
         let count = width as usize * height as usize;
         Self {
@@ -121,7 +121,7 @@ impl Raster {
     }
 }
 
-fn scaled((x, y): Place) -> Vector {
+fn scaled((x, y): Pixels) -> Vector {
     Vector::new(x * SCALE, y * SCALE)
 }
 

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 /// Sliding Fourier sum over the last switching period: a load that follows it follows the envelope, not the carrier.
 #[derive(Clone, Debug)]
 pub struct FourierEnvelope {
-    ring: Vec<Place>,
+    ring: Vec<PeriodStep>,
     sum: (f64, f64),
     /// Number of zero currents in a row.
     zeros: usize,
@@ -15,7 +15,7 @@ pub struct FourierEnvelope {
 
 /// Place of a step in the period, with the last current there.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct PeriodStep {
     cos: f64,
     sin: f64,
     i_a: f64,
@@ -28,7 +28,7 @@ impl FourierEnvelope {
     /// Creates one for a period of `steps` integration steps.
     pub fn new(steps: usize) -> Self {
         let step = TAU / steps as f64;
-        let place = |n| Place {
+        let place = |n| PeriodStep {
             cos: libm::cos(step * n as f64),
             sin: libm::sin(step * n as f64),
             i_a: 0.0,
@@ -47,7 +47,7 @@ impl FourierEnvelope {
         let (re, im) = (self.sum.0 * scale, self.sum.1 * scale);
         let mut new = Self::new(steps);
         for n in 0..steps {
-            let Place { cos, sin, .. } = new.ring[n];
+            let PeriodStep { cos, sin, .. } = new.ring[n];
             new.push(n, re * cos + im * sin);
         }
         new
@@ -70,7 +70,8 @@ impl FourierEnvelope {
         self.periods += 1;
         if self.periods == SUMMED_PERIODS {
             self.periods = 0;
-            let add = |sum: (f64, f64), p: &Place| (sum.0 + p.i_a * p.cos, sum.1 + p.i_a * p.sin);
+            let add =
+                |sum: (f64, f64), p: &PeriodStep| (sum.0 + p.i_a * p.cos, sum.1 + p.i_a * p.sin);
             self.sum = self.ring.iter().fold((0.0, 0.0), add);
         }
     }

@@ -397,6 +397,27 @@ fn weighted(values: impl Iterator<Item = (f64, f64)>) -> (f64, f64) {
     (sum / weight, 1.0 / weight.sqrt())
 }
 
+/// Phase of a known load at |Z|, in radian, and its dependence dθ/d ln|Z|; `None` where |Z| does not give it.
+fn phase_of_load(
+    omega: f64,
+    magnitude_ohm: f64,
+    r_ohm: Option<f64>,
+    l_h: Option<f64>,
+) -> Option<(f64, f64)> {
+    match (r_ohm, l_h) {
+        (Some(r), Some(l)) => Some(((omega * l).atan2(r), 0.0)),
+        (Some(r), None) => {
+            let theta = (r / magnitude_ohm).clamp(-1.0, 1.0).acos();
+            (theta >= MIN_PHASE_ANGLE_RAD).then(|| (theta, 1.0 / theta.tan()))
+        }
+        (None, l) => {
+            let x_ohm = omega * l.unwrap_or(0.0);
+            let theta = (x_ohm / magnitude_ohm).clamp(-1.0, 1.0).asin();
+            (FRAC_PI_2 - theta >= MIN_PHASE_ANGLE_RAD).then(|| (theta, theta.tan()))
+        }
+    }
+}
+
 /// Skew from a load whose R, L or both are known, by the fundamental alone.
 fn load(
     survey: &Survey,
@@ -412,39 +433,19 @@ fn load(
     let mut skews = Vec::new();
     let mut gains = Vec::new();
     for p in points.iter().filter(|p| p.first) {
-        let measured = p.z.im.atan2(p.z.re);
         let magnitude = p.z.norm();
-        // Phase of the reference, and its dependence on |z|: dθ/d ln|z|.
-        let (theta, steep) = match (r_ohm, l_h) {
-            (Some(r), Some(l)) => {
-                let z = Complex::new(r, p.omega * l);
-                gains.push((magnitude / z.norm(), p.sigma * magnitude / z.norm()));
-                (z.arg(), 0.0)
-            }
-            (Some(r), None) => {
-                let theta = (r / magnitude).clamp(-1.0, 1.0).acos();
-                (theta, 1.0 / theta.tan())
-            }
-            (None, l) => {
-                let theta = (p.omega * l.unwrap_or(0.0) / magnitude)
-                    .clamp(-1.0, 1.0)
-                    .asin();
-                (theta, theta.tan())
-            }
-        };
-        let undetermined = match (r_ohm, l_h) {
-            (Some(_), None) => theta < MIN_PHASE_ANGLE_RAD,
-            (None, _) => FRAC_PI_2 - theta < MIN_PHASE_ANGLE_RAD,
-            _ => false,
-        };
-        if undetermined {
+        let Some((theta, steep)) = phase_of_load(p.omega, magnitude, r_ohm, l_h) else {
             return Err(wrong(format!(
                 "|Z| of {magnitude:.3} ohm at {:.2} kHz does not give the phase: give R and L",
                 p.omega / TAU * 1e-3
             )));
+        };
+        if let (Some(r), Some(l)) = (r_ohm, l_h) {
+            let of_load = r.hypot(p.omega * l);
+            gains.push((magnitude / of_load, p.sigma * magnitude / of_load));
         }
         let sigma = p.sigma * 1f64.hypot(steep) / p.omega;
-        skews.push(((theta - measured) / p.omega, sigma));
+        skews.push(((theta - p.z.im.atan2(p.z.re)) / p.omega, sigma));
     }
     if r_ohm.is_none() || l_h.is_none() {
         assumed.push("right gains".to_owned());

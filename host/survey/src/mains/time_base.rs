@@ -29,9 +29,13 @@ pub(super) fn no_grids_hz(
 ) -> Option<f64> {
     let of_usual = usual.map_or(1.0, |fit| fit.unexplained);
     let most = MAX_UNEXPLAINED.min(FAR_BETTER * of_usual);
-    let far = (of_usual > MAX_UNEXPLAINED_SHARE).then(|| far(envelopes, coverage));
-    if let Some(far) = far.flatten().filter(|far| far.unexplained < most) {
-        return Some(far.hz);
+    let fit_beyond_grids =
+        (of_usual > MAX_UNEXPLAINED_SHARE).then(|| fit_beyond_grids(envelopes, coverage));
+    if let Some(fit_beyond_grids) = fit_beyond_grids
+        .flatten()
+        .filter(|fit_beyond_grids| fit_beyond_grids.unexplained < most)
+    {
+        return Some(fit_beyond_grids.hz);
     }
     let usual = usual.filter(|fit| NOMINAL_HZ.iter().all(|hz| (fit.hz - hz).abs() > GRID_HZ))?;
     let limits = NOMINAL_HZ
@@ -45,7 +49,7 @@ pub(super) fn no_grids_hz(
 }
 
 /// Best fit of a frequency beyond [`RANGE_HZ`].
-fn far(envelopes: &[PieceEnvelope], coverage: &Coverage) -> Option<Fit> {
+fn fit_beyond_grids(envelopes: &[PieceEnvelope], coverage: &Coverage) -> Option<Fit> {
     // Shorter captures cannot separate a constant from a lower frequency.
     let least_hz = 0.5 * FREE_HALF_CYCLES / coverage.seen_s;
     let searches: Vec<Search> = if coverage.is_paused {

@@ -5,12 +5,22 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Seek};
 use std::path::Path;
 
+use ihd_shared::fault::Fault;
+
 use super::super::npz::Archive;
 use super::{ByteBudget, ExportLimits, RecordingExportError, Row, nothing, rows};
 use crate::mcap::topics::{Telemetry, WholeWindow};
 
-/// Length of a text: the longest name of a fault has 24 characters.
+/// Room for a text: the name of a state or of a fault.
 const WORD: usize = 24;
+
+const _: () = {
+    let mut k = 0;
+    while k < Fault::TABLE.len() {
+        assert!(Fault::TABLE[k].name.len() <= WORD, "a fault's name is cut");
+        k += 1;
+    }
+};
 
 /// NumPy's type of a text of [`WORD`] characters.
 const WORDS: &str = "<U24";

@@ -174,7 +174,7 @@ fn run(
     }
     match (ended, off) {
         (Err(ended), Err(off)) => Err(ended.context(off.to_string())),
-        (ended, off) => ended.and(off).and_then(|()| did_it_heat(&summary)),
+        (ended, off) => ended.and(off).and_then(|()| check_heated(&summary)),
     }
 }
 
@@ -314,7 +314,7 @@ fn status_line(report: &DeviceReport, elapsed: Duration) -> String {
     ))
 }
 
-fn did_it_heat(summary: &HeatingSummary) -> Result<()> {
+fn check_heated(summary: &HeatingSummary) -> Result<()> {
     let early = summary.ended_by == ELSEWHERE;
     if !early && (summary.heating_seconds > 0.0 || summary.ended_by == "interrupt") {
         return Ok(());

@@ -1,7 +1,7 @@
 //! Texts about devices. Strings of a device or a daemon are escaped at output.
 
 use anyhow::Result;
-use ihd_model::{DeviceReport, Live, PotTemperature};
+use ihd_model::{ActiveRecording, DeviceReport, Live, LookupReport, PotTemperature, WindowCounts};
 
 use crate::cli::output;
 
@@ -91,34 +91,9 @@ fn of_report(r: &DeviceReport) -> String {
     if let Some(pot) = &r.pot_temperature {
         line("pot", of_pot(pot));
     }
-    let version = |version: Option<u32>| version.map_or("none".into(), |v| v.to_string());
-    let lookup = match r.lookup.on_device {
-        None => "not known yet".into(),
-        Some(0) => "the built-in one".into(),
-        Some(v) => format!("version {v}, {} cells known", r.lookup.observed_cells),
-    };
-    let pending = match r.lookup.pending {
-        None => String::new(),
-        pending => format!(", version {} pending", version(pending)),
-    };
-    line("lookup", lookup + &pending);
-    let w = &r.windows;
-    if w.announced > 0 {
-        line(
-            "windows",
-            format!(
-                "{} announced: {} stored, {} refused, {} lost, {} dropped by the device, {} not stored; {} learned, {} unfit, {} unlearned",
-                w.announced,
-                w.stored,
-                w.refused,
-                w.lost,
-                w.dropped_by_device,
-                w.not_stored,
-                w.learned,
-                w.unfit,
-                w.unlearned
-            ),
-        );
+    line("lookup", of_lookup(&r.lookup));
+    if r.windows.announced > 0 {
+        line("windows", of_windows(&r.windows));
     }
     if r.frames_beyond > 0 {
         let text = format!("{} frames more than a hob sends: dropped", r.frames_beyond);
@@ -137,16 +112,47 @@ fn of_report(r: &DeviceReport) -> String {
         let left: Vec<String> = r.sweep_left_w.iter().map(u16::to_string).collect();
         line("sweep", format!("{} W to come", left.join(", ")));
     }
-    match (&r.recording, &r.recording_now) {
-        (Some(file), _) => line("recording", file.clone()),
-        (None, Some(now)) => line("recording", format!("waits for {}", now.settings.trigger)),
-        (None, None) => {
-            if let Some(why) = &r.recording_failure {
-                line("recording", format!("failed: {why}"));
-            }
-        }
+    if let Some(recording) = of_recording(r) {
+        line("recording", recording);
     }
     text
+}
+
+fn of_lookup(lookup: &LookupReport) -> String {
+    let on_device = match lookup.on_device {
+        None => "not known yet".into(),
+        Some(0) => "the built-in one".into(),
+        Some(v) => format!("version {v}, {} cells known", lookup.observed_cells),
+    };
+    match lookup.pending {
+        None => on_device,
+        Some(v) => format!("{on_device}, version {v} pending"),
+    }
+}
+
+fn of_windows(w: &WindowCounts) -> String {
+    format!(
+        "{} announced: {} stored, {} refused, {} lost, {} dropped by the device, {} not stored; {} learned, {} unfit, {} unlearned",
+        w.announced,
+        w.stored,
+        w.refused,
+        w.lost,
+        w.dropped_by_device,
+        w.not_stored,
+        w.learned,
+        w.unfit,
+        w.unlearned
+    )
+}
+
+/// The recording's file, the trigger that it waits for, or its failure.
+fn of_recording(r: &DeviceReport) -> Option<String> {
+    let waits = |now: &ActiveRecording| format!("waits for {}", now.settings.trigger);
+    let failed = |why: &String| format!("failed: {why}");
+    r.recording
+        .clone()
+        .or_else(|| r.recording_now.as_ref().map(waits))
+        .or_else(|| r.recording_failure.as_ref().map(failed))
 }
 
 /// Joins the text to one line.

@@ -205,7 +205,7 @@ fn spans(survey: &Survey) -> String {
         let load = |value: fn(&ihd_signal::Load) -> f64| {
             span.load
                 .as_ref()
-                .map_or("-".to_owned(), |z| format!("{:.3}", value(z)))
+                .map_or("–".to_owned(), |z| format!("{:.3}", value(z)))
         };
         table.row([
             format!("{:.3}", span.t0_s * 1e3),

@@ -5,7 +5,7 @@ pub mod figure;
 use std::fmt::Write;
 
 use ihd_sim::scenario::limits::LimitCheck;
-use ihd_sim::scenario::record::{Record, TrueHalfCycle};
+use ihd_sim::scenario::record::{PowerStep, Record, TrueHalfCycle};
 
 use super::table::TextTable;
 
@@ -14,26 +14,45 @@ const ROWS: usize = 60;
 
 /// Power steps, states with their largest values, faults, energy, and the limits of the file.
 pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
-    let summary = &record.summary;
     let mut text = String::new();
-    let number = |value: Option<f64>, digits: usize| match value {
-        Some(value) => format!("{value:.digits$}"),
-        None => "-".to_owned(),
-    };
-    if !summary.steps.is_empty() {
-        let mut table = TextTable::new(&["at/s", "asked/W", "settled/s", "overshoot/%", "error/%"]);
-        for step in &summary.steps {
-            table.row([
-                format!("{:.3}", step.at_s),
-                format!("{:.0}", step.power_w),
-                number(step.settled_after_s, 3),
-                number(step.overshoot_pct, 1),
-                number(step.error_pct, 2),
-            ]);
-        }
-        text += &table.render();
+    if !record.summary.steps.is_empty() {
+        text += &steps(&record.summary.steps);
         text.push('\n');
     }
+    text += &states(&record.half_cycles);
+    text.push('\n');
+    text += &events(record);
+    for limit in checked {
+        let verdict = if limit.ok { "met" } else { "MISSED" };
+        let _ = writeln!(text, "limit {verdict}: {limit}");
+    }
+    text
+}
+
+fn number(value: Option<f64>, digits: usize) -> String {
+    match value {
+        Some(value) => format!("{value:.digits$}"),
+        None => "–".to_owned(),
+    }
+}
+
+/// Table of the steps of the requested power.
+fn steps(steps: &[PowerStep]) -> String {
+    let mut table = TextTable::new(&["at/s", "asked/W", "settled/s", "overshoot/%", "error/%"]);
+    for step in steps {
+        table.row([
+            format!("{:.3}", step.at_s),
+            format!("{:.0}", step.power_w),
+            number(step.settled_after_s, 3),
+            number(step.overshoot_pct, 1),
+            number(step.error_pct, 2),
+        ]);
+    }
+    table.render()
+}
+
+/// Table with a row for each stretch of half-cycles that are [alike].
+fn states(half_cycles: &[TrueHalfCycle]) -> String {
     let mut table = TextTable::new(&[
         "from/s",
         "state",
@@ -46,7 +65,7 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
         "v_coil/V",
         "hard edges",
     ]);
-    let stretches: Vec<_> = record.half_cycles.chunk_by(alike).collect();
+    let stretches: Vec<_> = half_cycles.chunk_by(alike).collect();
     for stretch in stretches.iter().take(ROWS) {
         let mean = |of: fn(&TrueHalfCycle) -> f64| {
             stretch.iter().map(of).sum::<f64>() / stretch.len() as f64
@@ -67,11 +86,17 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
             hard.to_string(),
         ]);
     }
-    text += &table.render();
+    let mut text = table.render();
     if let Some(more) = stretches.len().checked_sub(ROWS + 1) {
         let _ = writeln!(text, "and {} more changes: --json has all", more + 1);
     }
-    text.push('\n');
+    text
+}
+
+/// Faults, recoveries, resets by the watchdog and the energy, a line each.
+fn events(record: &Record) -> String {
+    let summary = &record.summary;
+    let mut text = String::new();
     for fault in &record.faults {
         let _ = writeln!(
             text,
@@ -102,10 +127,6 @@ pub fn text(record: &Record, checked: &[LimitCheck]) -> String {
         "{:.1} kJ into the load{latched}",
         summary.energy_j * 1e-3
     );
-    for limit in checked {
-        let verdict = if limit.ok { "met" } else { "MISSED" };
-        let _ = writeln!(text, "limit {verdict}: {limit}");
-    }
     text
 }
 

@@ -280,7 +280,7 @@ impl Fold {
 const WALKED: usize = 512;
 
 /// Carrier along samples between two frames.
-struct Between {
+struct CarrierStretch {
     ends: [Carrier; 2],
     /// Samples from the first frame to the first sample.
     before: f64,
@@ -288,7 +288,7 @@ struct Between {
     per_sample: f64,
 }
 
-impl Between {
+impl CarrierStretch {
     /// State of the carrier at a sample, as [`Track::at`] has it.
     #[inline(always)]
     fn at(&self, k: usize) -> Carrier {
@@ -312,7 +312,7 @@ impl Track {
     }
 
     /// Visits all samples of a range in stretches of at most [`WALKED`], each between the same two frames.
-    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(Range<usize>, Between)) {
+    fn walk(&self, samples: Range<usize>, mut visit: impl FnMut(Range<usize>, CarrierStretch)) {
         let last = self.frames.len().saturating_sub(2);
         let mut k = samples.start;
         for (n, pair) in self.frames.windows(2).enumerate() {
@@ -323,7 +323,7 @@ impl Track {
             };
             while k < end {
                 let next = end.min(k + WALKED);
-                let between = Between {
+                let between = CarrierStretch {
                     ends: [pair[0], pair[1]],
                     before: k as f64 - middle,
                     per_sample: self.hop.recip(),
