@@ -328,7 +328,7 @@ async function walk(page) {
   }));
 }
 
-test('numbers stand in SI units, and what is paused is not stale', async () => {
+test('numbers stand in SI units, and plots that are paused hide nothing', async () => {
   const { page, context, problems } = await open(chromium, address(fake.url, 'live'));
   // The fake's pots have some ohm and some 25 µH at 1500 W.
   const si = { 'r-now': [1, 10], 'l-now': [10e-6, 60e-6], 'p-now': [1400, 1600] };
@@ -337,10 +337,30 @@ test('numbers stand in SI units, and what is paused is not stale', async () => {
     await until(`${hook} between ${low} and ${high}`, async () => (await number()) > low && (await number()) < high);
   }
   await page.getByRole('button', { name: 'Pause', exact: true }).click();
-  // Longer than the three seconds after which silence is stale. A machine that stalls is silent, too, but not for long.
-  await sleep(3500);
-  await until('it is fresh', async () => !(await page.getByTestId('stale').isVisible()));
-  await until('one watches', async () => (await fake.do('watchers')).watchers === 1);
+  const pot = () => page.getByTestId('pot').getAttribute('data-value');
+  const device = new URL(page.url()).hash.split('/').at(-1);
+  await fake.do('pot', { device, pot: 'none' });
+  await until('that the pot is gone is shown all the same', async () => (await pot()) === 'Absent');
+  await fake.do('pot', { device });
+  noProblems(problems);
+  await context.close();
+});
+
+test('Off ends what the slider was about to send', async () => {
+  const { page, context, problems } = await open(chromium, address(fake.url, 'live'));
+  const sent = [];
+  page.on('request', (request) => request.method() !== 'GET' && sent.push(`${request.method()} ${request.postData() ?? ''}`));
+  await page.getByTestId('power-input').fill('800');
+  await page.getByTestId('power-set').click();
+  await until('the page heats', async () => (await page.getByTestId('power-says').getAttribute('data-value')) === 'held');
+  await page.clock.install();
+  await page.getByTestId('power-slider').focus();
+  await page.keyboard.press('ArrowRight');
+  await page.keyboard.press('Escape');
+  await until('off is sent', async () => sent.some((one) => one.includes('"off"')));
+  sent.length = 0;
+  await page.clock.runFor(2000);
+  assert.deepEqual(sent.filter((one) => !one.startsWith('DELETE')), []);
   noProblems(problems);
   await context.close();
 });

@@ -17,7 +17,10 @@ export class Header {
   constructor(root, nav, parts) {
     this.parts = parts;
     this.chooser = h("select", { id: "device", "aria-label": "Device", data: { testid: "device-chooser" }, on: { change: () => parts.choose(this.chooser.value) } });
-    this.stale = h("span", { class: "stale", role: "status", hidden: true, data: { testid: "stale" } });
+    // The seconds are not read out: they change.
+    this.staleSince = h("span", {});
+    this.staleFor = h("span", { "aria-hidden": "true" });
+    this.stale = h("span", { class: "stale", role: "status", hidden: true, data: { testid: "stale" } }, this.staleSince, this.staleFor);
     this.skipped = h("span", { class: "skipped quiet", hidden: true, data: { testid: "skipped" } });
     this.missed = h("span", { class: "quiet", hidden: true, title: "this browser was too slow for them; the journal has them all" });
     this.heating = h("span", { class: "heating", hidden: true, data: { testid: "heating" } });
@@ -122,7 +125,8 @@ export class Header {
     document.body.classList.toggle("is-stale", stale);
     if (!stale) return;
     const since = (performance.now() - silent_since_ms) / 1000;
-    setText(this.stale, `stale since ${clock(Date.now() - since * 1000)}: nothing heard for ${duration(Math.round(since))}`);
+    setText(this.staleSince, `stale since ${clock(Date.now() - since * 1000)}`);
+    setText(this.staleFor, `: nothing heard for ${duration(Math.round(since))}`);
   }
 
   #showHeating() {

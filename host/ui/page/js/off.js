@@ -1,6 +1,6 @@
 // @ts-check
 /**
- * Off. Needs no lease, and goes on trying, loudly, until it was acknowledged or the daemon says that the hob is off.
+ * Off. Needs no lease, and goes on trying, loudly, until it was acknowledged or the daemon says that the hob is off, or has no link to it.
  */
 
 import * as api from "./api.js";
@@ -11,6 +11,9 @@ import { duration } from "./format.js";
 const TRY_MS = 2500;
 const FIRST_WAIT_MS = 250;
 const MAX_WAIT_MS = 2000;
+
+/** Time after which a hob that the daemon cannot reach is given up: it has ended its power by itself. */
+const AWAY_MS = 15000;
 
 /** How long success stays to be read. */
 const DONE_MS = 4000;
@@ -80,6 +83,10 @@ export class Off {
         }
         if (problem.status === 403 || problem.status === 404) {
           this.#failed(device, row, problem.message);
+          return;
+        }
+        if (problem.error === "not-connected" && performance.now() - work.began_ms > AWAY_MS) {
+          this.#failed(device, row, `${problem.message}; a hob that hears no host ends what a host asked for within 10 s`);
           return;
         }
         if (problem.status === 401) {

@@ -3,7 +3,7 @@
  * The event stream as a page hears it.
  *
  * `on` hears every event at once, for what keeps state; `frame` hears at most once an animation frame, for what
- * draws: never while the tab is hidden or drawing is paused, with what came meanwhile merged into one.
+ * draws: never while the tab is hidden, with what came meanwhile merged into one.
  */
 
 import { EVENTS, openStream } from "./shared-stream.js";
@@ -49,7 +49,6 @@ export class Stream {
     this.stale = false;
     /** Whether something was missed since the last telemetry. */
     this.gap = false;
-    this.paused = false;
     this.resting = false;
     this.retryTimer = 0;
     this.watchTimer = 0;
@@ -111,7 +110,7 @@ export class Stream {
   }
 
   /**
-   * Hears at most once an animation frame, and not while hidden or paused. `telemetry` is merged, of `devices` the
+   * Hears at most once an animation frame, and not while hidden. `telemetry` is merged, of `devices` the
    * newest comes, `notice` is a list of all since the last frame.
    * @param {"telemetry" | "devices" | "notice" | "missed"} name
    * @param {(data: any) => void} drawer
@@ -119,15 +118,6 @@ export class Stream {
    */
   frame(name, drawer) {
     return add(this.drawers, name, drawer);
-  }
-
-  /**
-   * Stops or resumes drawing; the connection stays.
-   * @param {boolean} paused
-   */
-  pause(paused) {
-    this.paused = paused;
-    this.#requestFrame();
   }
 
   /** @returns {number} the daemon's clock now, as well as it is known, in ms since 1970 */
@@ -214,10 +204,9 @@ export class Stream {
   }
 
   #requestFrame() {
-    if (this.frameRequested || this.paused || document.hidden || Object.keys(this.pending).length === 0) return;
+    if (this.frameRequested || document.hidden || Object.keys(this.pending).length === 0) return;
     this.frameRequested = requestAnimationFrame(() => {
       this.frameRequested = 0;
-      if (this.paused) return;
       const pending = this.pending;
       this.pending = {};
       for (const name of ["devices", "telemetry", "notice", "missed"]) {

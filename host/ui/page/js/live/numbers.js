@@ -97,7 +97,7 @@ export class Numbers {
     setAttribute(cells.pot, "data-value", live?.pot ?? "");
     setText(cells.limit, live ? limitText(live.limit) || "nothing" : NOTHING);
     setText(cells.asked, live ? `${live.asked_w}\u00a0W` : NOTHING);
-    setText(cells.frequency, on ? si(live?.f_sw_hz, "Hz", 4) : "off");
+    setText(cells.frequency, on ? si(live?.f_sw_hz, "Hz", 4) : live ? "off" : NOTHING);
     setText(cells.crest, on ? si(live?.i_crest_a, "A", 3) : NOTHING);
     const phase = on ? telemetry?.phase_deg : null;
     setText(cells.phase, typeof phase === "number" ? `${fixed(phase, 1)}°` : NOTHING);

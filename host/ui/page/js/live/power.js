@@ -86,8 +86,13 @@ export class Power {
   /** The slider came to rest: a page that heats already follows it. */
   #rest() {
     clearTimeout(this.resting);
-    if (this.context.leases.state(this.context.device).phase !== "held") return;
-    this.resting = setTimeout(() => this.#set(), REST_MS);
+    if (!this.#holds()) return;
+    // Off may come while it rests: what is not held any more is not heated.
+    this.resting = setTimeout(() => this.#holds() && this.#set(), REST_MS);
+  }
+
+  #holds() {
+    return this.context.leases.state(this.context.device).phase === "held";
   }
 
   /** @type {any} */

@@ -146,7 +146,7 @@ export class ScopeView {
     this.runTimer = setTimeout(() => {
       this.runTimer = 0;
       this.lastRun_ms = performance.now();
-      if (this.mode !== "hold" && !document.hidden && !this.context.stream.paused) this.#ask();
+      if (this.mode !== "hold" && !document.hidden) this.#ask();
     }, earliest);
   }
 

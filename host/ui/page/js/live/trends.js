@@ -73,7 +73,6 @@ export class Trends {
     clearTimeout(this.resultTimer);
     for (const stop of this.stops) stop();
     this.plots.destroy();
-    if (this.paused) this.context.stream.pause(false);
   }
 
   /**
@@ -81,7 +80,7 @@ export class Trends {
    * @returns {TrendPlots}
    */
   #build(root) {
-    this.pauseButton = h("button", { type: "button", class: "small", "aria-pressed": "false", title: "stops drawing; the connection stays, and nothing is lost", data: { testid: "pause" }, on: { click: () => this.#pause() } }, "Pause");
+    this.pauseButton = h("button", { type: "button", class: "small", "aria-pressed": "false", title: "these plots stand still; nothing is lost", data: { testid: "pause" }, on: { click: () => this.#pause() } }, "Pause");
     this.limits = h("input", { type: "checkbox", id: "trend-limits", checked: true, on: { change: () => this.plots.showLimits(this.limits.checked) } });
     this.says = h("span", { class: "quiet", data: { testid: "trend-says" } });
     root.append(h("div", { class: "scope-head" },
@@ -194,7 +193,7 @@ export class Trends {
   /** Following, as often as its length makes sense. */
   #drawSoon() {
     const now = performance.now();
-    if (this.view || now - this.drawn_ms < this.length.draw_ms - 20) return;
+    if (this.view || this.paused || now - this.drawn_ms < this.length.draw_ms - 20) return;
     this.#draw();
     if (now - this.read_ms > this.length.read_ms && !this.asking) this.#ask();
   }
@@ -231,7 +230,6 @@ export class Trends {
 
   #pause() {
     this.paused = !this.paused;
-    this.context.stream.pause(this.paused);
     this.pauseButton.setAttribute("aria-pressed", String(this.paused));
     setText(this.pauseButton, this.paused ? "Paused: go on" : "Pause");
   }
