@@ -219,8 +219,9 @@ impl DeviceRecord {
     pub fn report(&self) -> DeviceReport {
         let pot_temperature = self.pot_curve().now;
         let inner = self.lock();
+        let is_heard = inner.state.is_heard();
         DeviceReport {
-            pot_temperature,
+            pot_temperature: pot_temperature.filter(|_| is_heard),
             name: self.name.clone(),
             address: self.address.clone(),
             serial: usb_serial(&self.address).unwrap_or(&self.name).to_owned(),
@@ -229,7 +230,7 @@ impl DeviceRecord {
             since_s: inner.since.elapsed().as_secs(),
             detail: inner.detail.clone(),
             identity: inner.identity.clone(),
-            live: inner.live(),
+            live: inner.live().filter(|_| is_heard),
             lookup: inner.lookup.clone(),
             windows: inner.windows.counts(),
             asked_by_daemon_w: inner.lease.asked_w(),

@@ -29,6 +29,11 @@ pub enum DeviceState {
 }
 
 impl DeviceState {
+    /// Returns `true` if the device is heard now: what it said last is of the present.
+    pub fn is_heard(self) -> bool {
+        !matches!(self, Self::Searching | Self::Suspended | Self::Incompatible)
+    }
+
     /// All states.
     pub const ALL: [Self; 8] = [
         Self::Searching,
@@ -169,7 +174,7 @@ pub struct DeviceReport {
     pub detail: String,
     /// Identity; `None` before the first handshake.
     pub identity: Option<Identity>,
-    /// Last half-cycle; `None` before the first telemetry.
+    /// Last half-cycle; `None` before the first telemetry, and while the device is not heard.
     pub live: Option<Live>,
     /// Lookup versions.
     pub lookup: LookupReport,

@@ -266,7 +266,7 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "connections_total",
         "Connections made to a device",
         "counter",
-        |d| f64::from(d.connections),
+        |d| Some(f64::from(d.connections)),
     );
     family_of_devices(
         text,
@@ -274,7 +274,7 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "power_watts",
         "Mean power of the last second",
         "gauge",
-        |d| d.live.as_ref().map_or(0.0, |live| live.power_w),
+        |d| d.live.as_ref().map(|live| live.power_w),
     );
     family_of_devices(
         text,
@@ -282,7 +282,7 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "lookup_version",
         "Version of the lookup that a device uses",
         "gauge",
-        |d| d.lookup.on_device.map_or(f64::NAN, f64::from),
+        |d| d.lookup.on_device.map(f64::from),
     );
     family_of_devices(
         text,
@@ -290,21 +290,23 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "lookup_observed_cells",
         "Observed cells of the active lookup",
         "gauge",
-        |d| f64::from(d.lookup.observed_cells),
+        |d| Some(f64::from(d.lookup.observed_cells)),
     );
 }
 
-/// Writes a family with one sample per device.
+/// Writes a family with one sample per device of which the value is known.
 fn family_of_devices(
     text: &mut Exposition,
     devices: &[DeviceReport],
     name: &str,
     help: &str,
     kind: &str,
-    value: impl Fn(&DeviceReport) -> f64,
+    value: impl Fn(&DeviceReport) -> Option<f64>,
 ) {
     text.family(name, help, kind);
     for device in devices {
-        text.sample(name, &[("device", &device.name)], value(device));
+        if let Some(value) = value(device) {
+            text.sample(name, &[("device", &device.name)], value);
+        }
     }
 }

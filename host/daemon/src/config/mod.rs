@@ -5,7 +5,7 @@ pub(crate) mod fleet;
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 
 use ihd_link::DeviceSpec;
@@ -230,6 +230,12 @@ impl DaemonConfig {
         self.fleet.as_ref().map_or(Ok(()), FleetConfig::check)?;
         if self.store.as_os_str().is_empty() {
             return Err("store = \"\" names no folder".to_owned());
+        }
+        let is_host = |name: &str| name.parse::<IpAddr>().is_ok() || !name.contains([':', '/']);
+        if let Some(name) = self.allowed_hosts.iter().find(|name| !is_host(name)) {
+            return Err(format!(
+                "allowed_hosts = [{name:?}]: a name or an address stands there, without https://, port and brackets"
+            ));
         }
         if !(1..=64).contains(&self.learning.threads) {
             return Err(format!(

@@ -82,6 +82,14 @@ fn what_is_wrong_is_named() {
         ),
         ("[keep]\nwindows = \"one-in-0\"", &["one-in-0"]),
         ("[keep]\nmax_bytes = 1", &["keep.max_bytes = 1"]),
+        (
+            "allowed_hosts = [\"hob.lan:8731\"]",
+            &["allowed_hosts", "hob.lan:8731"],
+        ),
+        (
+            "allowed_hosts = [\"https://hob.lan\"]",
+            &["allowed_hosts", "https://hob.lan"],
+        ),
         ("[learning]\nthreads = 0", &["learning.threads = 0"]),
         ("[network]\nsead = 1", &["[network]", "sead"]),
         ("listen = \"here\"", &["listen"]),

@@ -356,6 +356,10 @@ impl<'a> DeviceSession<'a> {
                 device = self.record.name,
                 "could not be switched off; it ends by itself within 10 s"
             );
+            if self.record.lock().lease.revoke().is_some() {
+                let why = format!("{why}; the hob ends its power by itself within 10 s");
+                self.record.publish_lease_end(why);
+            }
         }
         // Without a link nobody knows what it does.
         self.record.lock().last = None;

@@ -34,7 +34,11 @@ impl View {
 
     /// Returns the temperature curve of a device's pot over the last hour; `None` if the device is unknown.
     pub fn pot_curve(&self, name: &str) -> Option<PotCurve> {
-        Some(self.devices.get(name)?.record.pot_curve().clone())
+        let handle = self.devices.get(name)?;
+        let mut curve = handle.record.pot_curve().clone();
+        let (state, _) = handle.record.state_and_age();
+        curve.now = curve.now.filter(|_| state.is_heard());
+        Some(curve)
     }
 
     /// Returns results, newest first.

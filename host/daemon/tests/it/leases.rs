@@ -1,5 +1,6 @@
 //! Leases: one holder commands, and without a lease the hob is off.
 
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use ihd_daemon::lease::LEASE_S;
@@ -46,6 +47,31 @@ async fn power_ends_with_the_lease_that_nobody_renews() {
         _ => None,
     })
     .await;
+    daemon.stop().await;
+}
+
+/// The hob ends its power by itself then; whoever asked for it is told that it does not heat any more.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_link_that_is_cut_ends_the_lease_with_its_power() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    until_state(&daemon, DeviceState::Idle).await;
+    let mut events = daemon.watch();
+    power(&daemon, "a", 1_000).await.unwrap();
+    rig.bench().unplugged.store(true, Ordering::Relaxed);
+    let why = wait_for_event(&mut events, |kind| match kind {
+        EventKind::Lease { holder, why, .. } if holder.is_empty() => Some(why.clone()),
+        _ => None,
+    })
+    .await;
+    assert!(why.contains("ends its power by itself"), "{why}");
+    let report = until_state(&daemon, DeviceState::Searching).await;
+    assert_eq!(report.lease, None);
+    assert_eq!((report.live, report.pot_temperature), (None, None));
+    // Until it is heard again nobody can confirm that it is off.
+    rig.bench().unplugged.store(false, Ordering::Relaxed);
+    let report = until_state(&daemon, DeviceState::Idle).await;
+    assert_eq!((report.asked_by_daemon_w, rig.bench().asked_w()), (0, 0));
     daemon.stop().await;
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use async_nats::Client;
 use futures_util::StreamExt;
-use ihd_model::{DeviceReport, DeviceState};
+use ihd_model::DeviceReport;
 use serde::{Deserialize, Serialize};
 
 use super::link::Link;
@@ -48,8 +48,7 @@ impl StateMessage {
     /// Creates the state from the daemon's report of a device and the age of its last half-cycle; of a silent device only the state and the
     /// lookup are known.
     pub fn from_report(device: &DeviceReport, age: Option<Duration>) -> Self {
-        let is_heard =
-            device.state != DeviceState::Suspended && age.is_some_and(|age| age <= MAX_AGE);
+        let is_heard = device.state.is_heard() && age.is_some_and(|age| age <= MAX_AGE);
         let live = device.live.as_ref().filter(|_| is_heard);
         let finite = |x: f64| x.is_finite().then_some(x);
         Self {
@@ -121,6 +120,8 @@ async fn publish_states(link: &Link, client: &Client) -> Result<Duration, String
 
 #[cfg(test)]
 mod tests {
+    use ihd_model::DeviceState;
+
     use super::*;
 
     /// Report of a hob that heats with 499.5 W.

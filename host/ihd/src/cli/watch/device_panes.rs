@@ -51,7 +51,7 @@ fn device_row(place: usize, device: &DeviceReport, chosen: bool, stale: bool) ->
         " ".into()
     };
     let name = format!("{mark}{number} {}", one_line(&device.name));
-    let known = device.live.as_ref().filter(|_| is_heard(device.state));
+    let known = device.live.as_ref().filter(|_| device.state.is_heard());
     let of = |text: &dyn Fn(&Live) -> String| known.map_or("–".to_owned(), text);
     let heats = known.filter(|live| live.f_sw_hz > 0);
     let heating = |text: &dyn Fn(&Live) -> String| heats.map_or("–".to_owned(), text);
@@ -83,14 +83,6 @@ fn device_row(place: usize, device: &DeviceReport, chosen: bool, stale: bool) ->
     row.style(style)
 }
 
-/// Returns `true` if the device's last report is current.
-fn is_heard(state: DeviceState) -> bool {
-    !matches!(
-        state,
-        DeviceState::Searching | DeviceState::Suspended | DeviceState::Incompatible
-    )
-}
-
 /// The colour supplements the text and never replaces it.
 fn state_style(device: &DeviceReport, known: Option<&Live>) -> Style {
     let faulted = known.is_some_and(|live| live.fault != 0);
@@ -115,7 +107,7 @@ pub(super) fn details(device: &DeviceReport, stale: bool) -> Vec<Line<'static>> 
     if !device.detail.is_empty() {
         state += &format!(": {}", device.detail);
     }
-    let known = device.live.as_ref().filter(|_| is_heard(device.state));
+    let known = device.live.as_ref().filter(|_| device.state.is_heard());
     let now = match known {
         None => Line::from("not heard now"),
         Some(live) => Line::from(now_words(live)),
