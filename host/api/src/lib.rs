@@ -19,6 +19,7 @@ mod routes;
 mod served;
 pub mod server;
 mod slots;
+mod stamp;
 pub mod tls;
 mod traffic;
 

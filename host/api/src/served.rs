@@ -7,13 +7,14 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 use tokio_rustls::TlsAcceptor;
 
+use crate::stamp::{Stamp, stamp};
 use crate::tls::{Certificate, RENEWAL_TIME, ServerTls, TlsError, write_new};
 
 /// Period of the warning of a certificate that ends soon.
 const WARNING_PERIOD: Duration = Duration::from_secs(86_400);
 
-/// Time of change and length of certificate and key.
-type Stamps = [(SystemTime, u64); 2];
+/// Stamps of certificate and key.
+type Stamps = [Stamp; 2];
 
 /// TLS of a running server.
 pub(crate) struct ServedTls {
@@ -130,11 +131,7 @@ fn note_in_use(source: &Certificate, tls: &ServerTls) {
 
 fn stamps(source: &Certificate) -> Option<Stamps> {
     let (certificate, key) = source.files();
-    let stamp = |path: PathBuf| {
-        let meta = std::fs::metadata(path).ok()?;
-        Some((meta.modified().ok()?, meta.len()))
-    };
-    Some([stamp(certificate)?, stamp(key)?])
+    Some([stamp(&certificate)?, stamp(&key)?])
 }
 
 fn now_s() -> i64 {

@@ -16,8 +16,9 @@ use tokio::task::JoinSet;
 
 use crate::access::guard::Access;
 use crate::access::hosts::AllowedHosts;
+use crate::access::served_tokens::ServedTokens;
 use crate::access::sessions::Sessions;
-use crate::access::tokens::{TokenError, Tokens};
+use crate::access::tokens::TokenError;
 use crate::connection;
 use crate::routes::health::HealthCache;
 use crate::routes::{self, App, Counts, MAX_SUBSCRIBERS};
@@ -143,7 +144,7 @@ impl ApiServer {
         let tokens = match &options.token_file {
             None => None,
             Some(path) => {
-                let (tokens, made) = Tokens::read_or_create(path)?;
+                let (tokens, made) = ServedTokens::load(path)?;
                 created_tokens = made.then(|| path.clone());
                 Some(tokens)
             }

@@ -13,8 +13,8 @@ use ihd_model::{Problem, Role};
 
 use super::cookie;
 use super::hosts::AllowedHosts;
+use super::served_tokens::ServedTokens;
 use super::sessions::Sessions;
-use super::tokens::Tokens;
 use crate::problem::refusal;
 use crate::slots::Slot;
 
@@ -38,15 +38,24 @@ const SESSION: &str = "/api/v1/session";
 pub(crate) struct Access {
     pub(crate) hosts: AllowedHosts,
     /// `None` on loopback without a token file: each local user has access.
-    pub(crate) tokens: Option<Tokens>,
+    pub(crate) tokens: Option<ServedTokens>,
     /// Sessions of browsers that have presented a token.
     pub(crate) sessions: Sessions,
 }
 
 impl Access {
+    /// Returns the tokens as their file has them now; a changed file ends all sessions. `None` if none is needed.
+    pub(crate) fn present_tokens(&self) -> Option<&ServedTokens> {
+        let tokens = self.tokens.as_ref()?;
+        if tokens.refresh() {
+            self.sessions.close_all();
+        }
+        Some(tokens)
+    }
+
     /// Returns the role of a request with these headers; `None` if a token is required and no valid one is present.
     pub(crate) fn role(&self, headers: &HeaderMap) -> Option<Role> {
-        let Some(tokens) = &self.tokens else {
+        let Some(tokens) = self.present_tokens() else {
             return Some(Role::Operate);
         };
         // The header outranks the cookie.
@@ -195,6 +204,9 @@ pub(crate) async fn deadline(request: Request, next: Next) -> Response {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use super::super::tokens::Tokens;
     use super::*;
 
     fn status(access: &Access, header: Option<&str>, needed: Role) -> u16 {
@@ -208,7 +220,7 @@ mod tests {
         }
     }
 
-    fn access(tokens: Option<Tokens>) -> Access {
+    fn access(tokens: Option<ServedTokens>) -> Access {
         Access {
             hosts: AllowedHosts::new([127, 0, 0, 1].into(), &[]),
             tokens,
@@ -226,9 +238,9 @@ mod tests {
     #[test]
     fn a_token_is_good_for_its_role_and_those_below() {
         let dir = tempfile::tempdir().unwrap();
-        let (tokens, _) = Tokens::read_or_create(&dir.path().join("tokens")).unwrap();
-        let of = |role| format!("Bearer {}", tokens.at_least(role).unwrap());
-        let given = Role::ALL.map(of);
+        let path = dir.path().join("tokens");
+        let (tokens, _) = ServedTokens::load(&path).unwrap();
+        let given = Role::ALL.map(|role| bearer_of(&path, role));
         let access = access(Some(tokens));
         for (has, header) in Role::ALL.into_iter().zip(&given) {
             for needed in Role::ALL {
@@ -246,5 +258,37 @@ mod tests {
             assert_eq!(status(&access, Some(wrong), Role::Read), 401, "{wrong}");
         }
         assert_eq!(status(&access, None, Role::Read), 401);
+    }
+
+    /// The header with the token of a role in a file.
+    fn bearer_of(path: &Path, role: Role) -> String {
+        let tokens = Tokens::read(path).unwrap();
+        format!("Bearer {}", tokens.at_least(role).unwrap())
+    }
+
+    #[test]
+    fn a_token_taken_out_of_its_file_ends_with_its_sessions() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("tokens");
+        let (tokens, _) = ServedTokens::load(&path).unwrap();
+        let [read, operate] = Role::ALL.map(|role| bearer_of(&path, role));
+        let access = access(Some(tokens));
+        let session = access.sessions.open(Role::Operate).unwrap();
+        assert_eq!(status(&access, Some(&operate), Role::Operate), 200);
+
+        let all = std::fs::read_to_string(&path).unwrap();
+        let left: String = all
+            .lines()
+            .filter(|line| !line.starts_with("operate"))
+            .map(|line| format!("{line}\n"))
+            .collect();
+        std::fs::write(&path, left).unwrap();
+        assert_eq!(status(&access, Some(&operate), Role::Read), 401);
+        assert_eq!(status(&access, Some(&read), Role::Read), 200);
+        assert_eq!(access.sessions.role(&session), None);
+
+        // What cannot be used changes nothing.
+        std::fs::write(&path, "none of it\n").unwrap();
+        assert_eq!(status(&access, Some(&read), Role::Read), 200);
     }
 }

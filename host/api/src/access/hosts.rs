@@ -19,7 +19,10 @@ impl AllowedHosts {
                 IpAddr::V6(ip) => format!("[{ip}]"),
             });
         }
-        names.extend(others.iter().map(|name| name.to_ascii_lowercase()));
+        names.extend(others.iter().map(|name| match name.parse() {
+            Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
+            _ => name.to_ascii_lowercase(),
+        }));
         Self(names)
     }
 
@@ -67,7 +70,8 @@ mod tests {
 
     #[test]
     fn only_names_of_the_list_pass() {
-        let allowed = AllowedHosts::new([192, 168, 1, 5].into(), &["Hob.Kitchen.lan".into()]);
+        let others = ["Hob.Kitchen.lan".into(), "fd00::5".into()];
+        let allowed = AllowedHosts::new([192, 168, 1, 5].into(), &others);
         for good in [
             "localhost",
             "LOCALHOST:8731",
@@ -76,6 +80,7 @@ mod tests {
             "[::1]",
             "192.168.1.5",
             "hob.kitchen.lan:8731",
+            "[fd00::5]:8731",
         ] {
             assert!(allowed.allows(&parts(&[good], "/")), "{good}");
         }

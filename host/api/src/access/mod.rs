@@ -3,5 +3,6 @@
 pub(crate) mod cookie;
 pub(crate) mod guard;
 pub mod hosts;
+pub(crate) mod served_tokens;
 pub(crate) mod sessions;
 pub mod tokens;

@@ -12,7 +12,7 @@ use super::tokens::{TokenError, random_token};
 /// Lifetime of an unused session.
 pub(crate) const LIFETIME: Duration = Duration::from_secs(12 * 3600);
 
-/// Maximum number of sessions; one more ends the least recently used one.
+/// Maximum number of sessions; one more ends the least recently used one of the lowest role that has any.
 const MAX_SESSIONS: usize = 256;
 
 struct Session {
@@ -43,9 +43,10 @@ impl Sessions {
         let key = random_token()?;
         let mut sessions = self.lock();
         if sessions.len() >= MAX_SESSIONS {
-            let by_use = sessions.iter().enumerate();
-            let oldest = by_use
-                .min_by_key(|(_, session)| session.used)
+            // Whoever may only read ends no session of somebody who may switch off.
+            let by_rank = sessions.iter().enumerate();
+            let oldest = by_rank
+                .min_by_key(|(_, session)| (session.role, session.used))
                 .map(|(k, _)| k);
             oldest.map(|k| sessions.swap_remove(k));
         }
@@ -65,6 +66,11 @@ impl Sessions {
             .find(|session| is_same(&session.key, key))?;
         session.used = Instant::now();
         Some(session.role)
+    }
+
+    /// Ends all sessions.
+    pub(crate) fn close_all(&self) {
+        self.lock().clear();
     }
 
     /// Ends a session.
@@ -117,5 +123,15 @@ mod tests {
         for key in [&keys[0], &keys[2], &one_more] {
             assert!(sessions.role(key).is_some());
         }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn readers_end_no_session_of_an_operator() {
+        let sessions = Sessions::default();
+        let operator = sessions.open(Role::Operate).unwrap();
+        for _ in 0..2 * MAX_SESSIONS {
+            sessions.open(Role::Read).unwrap();
+        }
+        assert_eq!(sessions.role(&operator), Some(Role::Operate));
     }
 }

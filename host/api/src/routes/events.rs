@@ -43,7 +43,7 @@ pub(super) struct EventParameters {
 /// because the client was too slow. Events are not repeated after a reconnection.
 #[utoipa::path(get, path = "/events", tag = "daemon", params(EventParameters),
     responses((status = 200, description = "Server-Sent Events", content_type = "text/event-stream", body = DaemonEvent),
-        (status = 503, description = "Too many event streams", body = Problem)))]
+        (status = 400, body = Problem), (status = 503, description = "Too many event streams", body = Problem)))]
 pub(super) async fn events(
     State(app): State<Arc<App>>,
     ApiQuery(parameters): ApiQuery<EventParameters>,

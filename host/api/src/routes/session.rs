@@ -41,7 +41,7 @@ pub(super) async fn open(
     headers: HeaderMap,
     JsonBody(request): JsonBody<SessionRequest>,
 ) -> Result<Response, ErrorResponse> {
-    let Some(tokens) = &app.access.tokens else {
+    let Some(tokens) = app.access.present_tokens() else {
         return Ok(StatusCode::NO_CONTENT.into_response());
     };
     let Some(role) = tokens.role(request.token.trim()) else {

@@ -23,7 +23,7 @@ PUT /api/v1/devices/{name}/lease -> 200 400 401 403 404 413 415 421 422 423 500 
 POST /api/v1/devices/{name}/commands -> 200 400 401 403 404 409 413 415 421 422 423 500 503 504
 GET /api/v1/devices/{name}/lookups -> 200 400 401 403 404 421 500 504
 GET /api/v1/devices/{name}/results -> 200 400 401 403 404 421 500 504
-GET /api/v1/events -> 200 401 403 421 500 503 504
+GET /api/v1/events -> 200 400 401 403 421 500 503 504
 GET /api/v1/fleet -> 200 401 403 404 421 500 504
 GET /api/v1/hob -> 200 401 403 421 500 504
 GET /api/v1/devices/{name}/history -> 200 400 401 403 404 421 500 504
