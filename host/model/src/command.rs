@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::json_number::{whole_w, whole_w_list};
 use crate::recording::RecordSettings;
 
 /// Command to a device. All but [`Command::Off`] and recordings need the lease.
@@ -12,6 +13,7 @@ pub enum Command {
     /// Heat with a mean power; ends with the lease.
     Power {
         /// Mean power, in watt.
+        #[serde(deserialize_with = "whole_w")]
         power_w: u16,
     },
     /// Switch off, and end a sweep. Needs no lease.
@@ -34,6 +36,7 @@ pub enum Command {
     /// Heat with one power after the other and record windows of each.
     Sweep {
         /// Powers, in watt.
+        #[serde(deserialize_with = "whole_w_list")]
         powers_w: Vec<u16>,
     },
     /// Record all messages into an MCAP file in the store's folder `recordings`, now or on a trigger.

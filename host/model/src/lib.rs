@@ -9,6 +9,7 @@ mod event;
 mod fleet;
 mod history;
 mod journal;
+mod json_number;
 mod live;
 mod map;
 mod pot_temperature;

@@ -2,8 +2,10 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+
+use crate::json_number::{number, number_or_none};
 
 /// Longest pre-trigger, in seconds; the ring keeps as much.
 const MAX_PRE_TRIGGER_S: f64 = 60.0;
@@ -63,23 +65,6 @@ pub struct RecordSettings {
     /// Size of its file in bytes at which it ends; `None` without a limit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub max_bytes: Option<u64>,
-}
-
-/// Reads a number within a tagged type: serde buffers those, and serde_json's arbitrary-precision numbers are then no floats.
-fn number<'de, D: Deserializer<'de>>(from: D) -> Result<f64, D::Error> {
-    let wrong = || serde::de::Error::custom("a number is expected here");
-    number_or_none(from)?.ok_or_else(wrong)
-}
-
-fn number_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<f64>, D::Error> {
-    match serde_json::Value::deserialize(from)? {
-        serde_json::Value::Null => Ok(None),
-        serde_json::Value::Number(number) if number.as_f64().is_some() => Ok(number.as_f64()),
-        other => {
-            let why = format!("a number is expected here, not {other}");
-            Err(serde::de::Error::custom(why))
-        }
-    }
 }
 
 /// Phase of a recording.

@@ -14,7 +14,6 @@ use thiserror::Error;
 
 use super::hob::{Hob, is_leased_elsewhere};
 use super::text::{of_live, one_line};
-use crate::cli::usage::Usage;
 use crate::cli::{interrupt, output};
 
 /// Period of renewing the lease: three times while it lasts.
@@ -64,8 +63,7 @@ const SHOWN_WITHIN: Duration = Duration::from_secs(2);
 
 /// Heats with one power until Ctrl-C or the end of the time.
 pub(super) fn power(hob: &mut Hob, power_w: u16, for_s: Option<f64>, json: bool) -> Result<()> {
-    let time = for_s.map(Duration::try_from_secs_f64).transpose();
-    let time = time.map_err(|_| Usage("--for is out of range".into()))?;
+    let time = for_s.map(Duration::from_secs_f64);
     let command = Command::Power { power_w };
     let mut end = |elapsed: Duration, hob: &mut Hob, report: &DeviceReport| {
         if elapsed > SHOWN_WITHIN && asked_w(hob, report) == 0 {

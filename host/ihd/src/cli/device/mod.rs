@@ -9,13 +9,15 @@ pub mod lookup;
 mod text;
 mod watch;
 
+use std::time::Duration;
+
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use ihd_daemon::config::DaemonConfig;
 use ihd_model::Command;
 
 use super::global::Global;
-use super::simulate::quantity::{power_w, quantity};
+use super::simulate::quantity::{power_w, time_s};
 use super::{configured, output};
 pub use heating::DoesNotHeat;
 pub(in crate::cli) use heating::RENEW_PERIOD;
@@ -70,7 +72,7 @@ enum Action {
         #[arg(value_name = "W,W,…", value_delimiter = ',', required = true, value_parser = power_w)]
         powers_w: Vec<u16>,
         /// End after this long, in s
-        #[arg(long = "for", value_name = "S", value_parser = quantity, conflicts_with = "windows")]
+        #[arg(long = "for", value_name = "S", value_parser = time_s, conflicts_with = "windows")]
         for_s: Option<f64>,
         /// End a single power, too, once some windows of it have come
         #[arg(long)]
@@ -161,8 +163,8 @@ impl Action {
                 powers_w, for_s, ..
             } => {
                 ensure_usage!(
-                    for_s.is_none_or(|s| s.is_finite() && s > 0.0),
-                    "--for must be more than 0 s"
+                    for_s.is_none_or(|s| s > 0.0 && Duration::try_from_secs_f64(s).is_ok()),
+                    "--for must be more than 0 s, and a time that a clock can count"
                 );
                 ensure_usage!(
                     for_s.is_none() || powers_w.len() == 1,

@@ -21,7 +21,7 @@ use self::direct::DirectRecording;
 use super::device::Hob;
 use super::global::Global;
 use super::recording_file;
-use super::simulate::quantity::quantity;
+use super::simulate::quantity::{quantity, time_s};
 use super::simulated::SimulatedHobArgs;
 use super::usage::Usage;
 
@@ -50,7 +50,7 @@ pub struct RecordArgs {
     #[arg(long, short, value_name = "FILE", value_parser = recording_file::parse)]
     out: Option<PathBuf>,
     /// End this long after the beginning, in s: after the trigger, which is waited for without a limit
-    #[arg(long, value_name = "S", value_parser = quantity)]
+    #[arg(long, value_name = "S", value_parser = time_s)]
     duration: Option<f64>,
     /// End when the file has this size in bytes (10M)
     #[arg(long, value_name = "BYTES", value_parser = quantity)]
@@ -60,7 +60,7 @@ pub struct RecordArgs {
     #[arg(long, value_name = "EVENT", default_value = "now", value_parser = trigger::trigger)]
     trigger: Trigger,
     /// Record what came in this time before the trigger too, in s, up to 60
-    #[arg(long, value_name = "S", default_value = "0", value_parser = quantity)]
+    #[arg(long, value_name = "S", default_value = "0", value_parser = time_s)]
     pre_trigger: f64,
     /// Request this power in watt meanwhile; without it the device's power is not changed
     #[arg(long, value_name = "W")]

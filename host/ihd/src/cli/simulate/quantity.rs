@@ -8,6 +8,9 @@ pub enum NotANumber {
     /// It is not a single number.
     #[error("`{0}` is no number: write it like 45k, 50M, 20ms, 0.2us, 1080n")]
     One(String),
+    /// It is not a time.
+    #[error("`{0}` is no time: write it in seconds, as 90, 20s or 20ms")]
+    Time(String),
     /// It is not a power that may be asked of a hob.
     #[error("`{0}` is no power for a hob: 1 to {REQUESTED_POWER_MAX_W} W in whole watt, like 1200 or 1.5k", REQUESTED_POWER_MAX_W = REQUESTED_POWER_MAX_W)]
     Power(String),
@@ -16,8 +19,28 @@ pub enum NotANumber {
     List(String, usize),
 }
 
-/// Parses a number with an optional SI prefix and an optional unit after it, which is ignored.
+/// Number of a text, with its prefix and its unit.
+struct Scaled<'a> {
+    value: f64,
+    has_prefix: bool,
+    unit: &'a str,
+}
+
+/// Parses a number with an optional SI prefix and an optional unit after it, of any quantity.
 pub fn quantity(text: &str) -> Result<f64, NotANumber> {
+    parsed(text).map(|scaled| scaled.value)
+}
+
+/// Parses a time in seconds: `20`, `20ms`; not `5m`, which may be meant as minutes.
+pub fn time_s(text: &str) -> Result<f64, NotANumber> {
+    let scaled = parsed(text)?;
+    let is_time = scaled.unit == "s" || (scaled.unit.is_empty() && !scaled.has_prefix);
+    is_time
+        .then_some(scaled.value)
+        .ok_or_else(|| NotANumber::Time(text.to_owned()))
+}
+
+fn parsed(text: &str) -> Result<Scaled<'_>, NotANumber> {
     let wrong = || NotANumber::One(text.to_owned());
     let digits = |c: char| c.is_ascii_digit() || matches!(c, '.' | '-' | '+');
     let mut end = text.find(|c| !digits(c)).unwrap_or(text.len());
@@ -46,18 +69,29 @@ pub fn quantity(text: &str) -> Result<f64, NotANumber> {
     if scale != 1.0 {
         tail.next();
     }
-    let value = match tail.as_str() {
-        "" | "s" | "Hz" | "F" | "V" | "A" | "W" | "ohm" | "S/s" | "m" => Some(number * scale),
-        _ => None,
-    };
-    value.filter(|value| value.is_finite()).ok_or_else(wrong)
+    let (unit, value) = (tail.as_str(), number * scale);
+    let is_known = matches!(
+        unit,
+        "" | "s" | "Hz" | "F" | "V" | "A" | "W" | "ohm" | "S/s" | "m"
+    );
+    (is_known && value.is_finite())
+        .then_some(Scaled {
+            value,
+            has_prefix: scale != 1.0,
+            unit,
+        })
+        .ok_or_else(wrong)
 }
 
 /// Parses a power to ask for in whole watt, 1 to [`REQUESTED_POWER_MAX_W`]: `1200`, `1.5k`, `1.5kW`. The hob takes what
 /// is above its rating as its rating.
 pub fn power_w(text: &str) -> Result<u16, NotANumber> {
-    let watt = quantity(text)?;
-    let is_power = watt.fract() == 0.0 && (1.0..=f64::from(REQUESTED_POWER_MAX_W)).contains(&watt);
+    let Scaled {
+        value: watt, unit, ..
+    } = parsed(text)?;
+    let is_power = matches!(unit, "" | "W")
+        && watt.fract() == 0.0
+        && (1.0..=f64::from(REQUESTED_POWER_MAX_W)).contains(&watt);
     is_power
         .then_some(watt as u16)
         .ok_or_else(|| NotANumber::Power(text.to_owned()))
@@ -87,9 +121,20 @@ mod tests {
             assert_eq!(power_w(text), Ok(w), "{text}");
         }
         for text in [
-            "0", "1e9", "10001", "1.5", "-5", "k", "1500 rpm", "NaN", "inf", "-inf",
+            "0", "1e9", "10001", "1.5", "-5", "k", "1500 rpm", "NaN", "inf", "-inf", "30A",
+            "1200Hz",
         ] {
             assert!(power_w(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn times() {
+        for (text, s) in [("90", 90.0), ("20s", 20.0), ("20ms", 20e-3), ("1e2", 100.0)] {
+            assert_eq!(time_s(text), Ok(s), "{text}");
+        }
+        for text in ["5m", "5k", "5Hz", "5mV", "s"] {
+            assert!(time_s(text).is_err(), "{text}");
         }
     }
 
