@@ -56,8 +56,9 @@ pub fn describe(name: &str, full_scale: [Option<f64>; 2]) -> BTreeMap<String, St
     table
 }
 
-/// Writes everything of a capture that precedes its samples.
+/// Writes everything of a capture that precedes its samples, and lets the file's times begin with them.
 pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFileError> {
+    writer.begin_at(capture.time.at(0).unwrap_or(0.0));
     let full_scale = [capture.v_full_scale_v, capture.i_full_scale_a];
     writer.metadata(META_CAPTURE, describe(&capture.name, full_scale))?;
     if !capture.metadata.is_empty() {
@@ -75,7 +76,9 @@ pub fn write_head(writer: &mut Writer, capture: &Capture) -> Result<(), McapFile
         mains_hz: capture.mains_hz,
     };
     if mains.mains_hz.is_some() || mains.zero_crossing_s.is_some() {
-        writer.json(Topic::Mains, mains.zero_crossing_s.unwrap_or(0.0), &mains)?;
+        let begin_s = capture.time.at(0).unwrap_or(0.0);
+        let t_s = mains.zero_crossing_s.unwrap_or(begin_s);
+        writer.json(Topic::Mains, t_s, &mains)?;
     }
     Ok(())
 }
@@ -147,5 +150,46 @@ fn stamped(t_s: &[f64], from: usize) -> (usize, BatchTime<'_>) {
         (from + even, BatchTime::Even { t0_s: first, dt_s })
     } else {
         (from + t_s.len(), BatchTime::Stamps(t_s))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::load::read;
+    use super::*;
+
+    /// A scope's record of 40 ms, half of it before the trigger: its messages had no time but zero there.
+    #[test]
+    fn times_of_messages_begin_with_the_first_sample() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let (t0_s, dt_s, n) = (-20e-3, 1e-6, 40_000);
+        let capture = Capture {
+            name: "a".to_owned(),
+            time: TimeBase::Even { t0_s, dt_s },
+            v_v: vec![1.0; n],
+            i_a: vec![2.0; n],
+            mains_hz: Some(50.0),
+            zero_crossing_s: Some(-15e-3),
+            ..Capture::default()
+        };
+        write(&capture, &path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let times = |topic: &str| -> Vec<u64> {
+            let messages = ::mcap::MessageStream::new(&bytes).unwrap();
+            let messages = messages.map(Result::unwrap);
+            let of_topic = messages.filter(|m| m.channel.topic == topic);
+            of_topic.map(|m| m.log_time).collect()
+        };
+        let after_ns = |k: usize| (k * PAIRS_PER_MESSAGE) as u64 * 1000;
+        let expected: Vec<u64> = (0..5).map(after_ns).collect();
+        assert_eq!(times("/samples"), expected);
+        assert_eq!(times("/mains"), [5_000_000]);
+        let back = read(&path).unwrap();
+        assert_eq!(back.zero_crossing_s, Some(-15e-3));
+        for k in [0, 1, n - 1] {
+            let (t, wanted) = (back.time.at(k).unwrap(), capture.time.at(k).unwrap());
+            assert!((t - wanted).abs() < 1e-12, "{t}");
+        }
     }
 }

@@ -69,6 +69,7 @@ pub struct Writer {
     bytes: Arc<AtomicU64>,
     single: bool,
     begun: bool,
+    begin_s: f64,
 }
 
 impl Writer {
@@ -118,6 +119,7 @@ impl Writer {
             bytes,
             single,
             begun: false,
+            begin_s: 0.0,
         })
     }
 
@@ -190,7 +192,13 @@ impl Writer {
         topic == Topic::CleanSamples || self.single
     }
 
-    /// Writes a message at a time in seconds after the beginning of the capture.
+    /// Lets the times of messages count from `t_s` on, the time of the first sample in seconds: those of a scope begin before the trigger,
+    /// and a message has no time before zero.
+    pub fn begin_at(&mut self, t_s: f64) {
+        self.begin_s = t_s;
+    }
+
+    /// Writes a message at a time in seconds on the capture's clock.
     ///
     /// # Errors
     /// [`McapFileError::Write`] when the disk is full or gone.
@@ -201,7 +209,7 @@ impl Writer {
         let Some((channel_id, sequence)) = self.channels.get_mut(&topic) else {
             return Ok(());
         };
-        let log_time = nanoseconds(t_s);
+        let log_time = nanoseconds(t_s - self.begin_s);
         let header = MessageHeader {
             channel_id: *channel_id,
             sequence: *sequence,
