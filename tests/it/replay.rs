@@ -91,6 +91,48 @@ fn a_device_of_this_build_gives_the_same_bits_windows_and_states() {
     assert_eq!((outcome.repeats, outcome.reconnects), (0, 0));
 }
 
+/// A frequency below the hob's, a stretch of half a block, and a coil voltage of twice the front end's range.
+#[test]
+fn what_is_not_replayed_as_it_is_is_counted() {
+    let whole = segments();
+    let slow = Segment {
+        f_sw_hz: 30e3,
+        ..whole[0].clone()
+    };
+    let part = |of: &Segment, samples: usize| Segment {
+        v_v: of.v_v.iter().take(samples).copied().collect(),
+        i_a: of.i_a.iter().take(samples).copied().collect(),
+        ..of.clone()
+    };
+    let beyond = Segment {
+        v_v: whole[0].v_v.iter().map(|v| 100.0 * v).collect(),
+        ..whole[0].clone()
+    };
+    let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
+    let mut connect = || client(hob.clone());
+    let short = part(&whole[0], 300);
+    // 4 ms from 2 ms on: no crossing of the mains in it.
+    let quiet = Segment {
+        t0_s: whole[0].t0_s + 2e-3,
+        ..part(&whole[0], 40_000)
+    };
+    let given = [slow.clone(), short, quiet];
+    let outcome = run(
+        &given,
+        ReplayOptions::default(),
+        &mut connect,
+        &mut |_, _| (),
+    )
+    .unwrap();
+    let omitted = outcome.omitted;
+    assert_eq!((omitted.out_of_range, omitted.short), (1, 1));
+    assert_eq!(omitted.samples, slow.v_v.len() + 300);
+    assert_eq!((outcome.stretches, outcome.saturated), (1, 0));
+    assert!(outcome.is_identical() && outcome.is_without_half_cycles());
+    let outcome = run(&[beyond], QUICK, &mut connect, &mut |_, _| ()).unwrap();
+    assert!(outcome.saturated > 1000, "{}", outcome.saturated);
+}
+
 #[test]
 fn speed_does_not_change_the_answer() {
     let hob = || SharedHob::new(SimHob::new(&HobConfig::default()));

@@ -11,6 +11,7 @@ use ihd_sim::transport::SharedHob;
 use ihd_survey::Survey;
 use ihd_train::replay::{ReplayOptions, ReplayReport, run};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 
 use super::capture_args::CaptureArgs;
 use super::global::Global;
@@ -87,10 +88,15 @@ impl ReplayArgs {
         });
         bar.finish_and_clear();
         let outcome = outcome?;
+        let surveyed: usize = survey.spans.iter().map(|span| span.samples).sum();
+        let unassigned = survey.samples.saturating_sub(surveyed);
         if json {
-            output::json(&outcome)?;
+            output::json(&JsonReport {
+                outcome: &outcome,
+                samples_without_frequency: unassigned,
+            })?;
         } else {
-            output::text(&text(&outcome))?;
+            output::text(&text(&outcome, unassigned))?;
         }
         if outcome.is_identical() {
             Ok(())
@@ -100,7 +106,17 @@ impl ReplayArgs {
     }
 }
 
-fn text(o: &ReplayReport) -> String {
+/// Report as JSON.
+#[derive(Serialize)]
+struct JsonReport<'a> {
+    #[serde(flatten)]
+    outcome: &'a ReplayReport,
+    /// Samples in no stretch of one switching frequency.
+    samples_without_frequency: usize,
+}
+
+/// Report as text; `unassigned` samples are in no stretch of one switching frequency.
+fn text(o: &ReplayReport, unassigned: usize) -> String {
     let counted = |c: ihd_train::replay::compare::MessageCounts| match c.lost {
         0 => format!("{} compared", c.compared),
         lost => format!("{} compared, {lost} lost on the link", c.compared),
@@ -119,11 +135,23 @@ fn text(o: &ReplayReport) -> String {
         counted(o.windows),
         counted(o.telemetry),
     );
+    text += &not_replayed(o, unassigned);
     if o.repeats + o.reconnects > 0 {
         text += &format!(
             "link       {} messages repeated, {} times connected anew\n",
             o.repeats, o.reconnects
         );
+    }
+    if o.is_identical() && o.is_without_half_cycles() {
+        let lost = o.windows.lost + o.telemetry.lost > 0;
+        let why = match lost {
+            true => "the link lost them",
+            false => "nothing to compare: no whole half-cycle of the mains was replayed",
+        };
+        return text
+            + &format!(
+                "result     R and L identical, bit for bit; no window and no telemetry ({why})\n"
+            );
     }
     if o.is_identical() {
         return text + "result     identical, bit for bit\n";
@@ -143,4 +171,35 @@ fn text(o: &ReplayReport) -> String {
         o.first.len(),
         table.render()
     )
+}
+
+/// Lines for what of the capture the device did not get as it is.
+fn not_replayed(o: &ReplayReport, unassigned: usize) -> String {
+    let mut parts = Vec::new();
+    let mut count = |count: usize, what: &str| {
+        if count > 0 {
+            parts.push(format!("{count} {what}"));
+        }
+    };
+    let stretches = o.omitted;
+    count(
+        stretches.out_of_range,
+        "stretches at a frequency outside the hob's ratings",
+    );
+    count(stretches.short, "stretches shorter than a block");
+    count(
+        stretches.samples + unassigned,
+        "samples in all, those without one switching frequency included",
+    );
+    let mut text = String::new();
+    if !parts.is_empty() {
+        text += &format!("omitted    {}\n", parts.join(", "));
+    }
+    if o.saturated > 0 {
+        text += &format!(
+            "saturated  {} pairs are beyond the range of the device's front end and were sent as its limit\n",
+            o.saturated
+        );
+    }
+    text
 }

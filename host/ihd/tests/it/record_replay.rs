@@ -88,6 +88,33 @@ fn a_recording_replays_identically() {
     );
 }
 
+/// Of 4 ms of a scope, without a half-cycle, not even a window was compared, and the result was "identical, bit for bit".
+#[test]
+fn a_replay_without_a_half_cycle_says_that_none_was_compared() {
+    let dir = tempfile::tempdir().unwrap();
+    let row = |k: i32| {
+        let t_s = 2e-3 + f64::from(k) * 2e-7;
+        let angle = std::f64::consts::TAU * 45e3 * t_s;
+        format!(
+            "{t_s:.8},{:.4},{:.4}\n",
+            150.0 * angle.sin(),
+            30.0 * (angle - 1.2).sin()
+        )
+    };
+    let rows: String = (0..20_000).map(row).collect();
+    let table = dir.path().join("short.csv");
+    std::fs::write(&table, format!("time_s,v_V,i_A\n{rows}")).unwrap();
+    let args = "replay short.csv --input mains=50,zero-crossing=0";
+    let output = run(args, dir.path());
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    assert!(
+        text.contains("nothing to compare: no whole half-cycle")
+            && !text.contains("result     identical"),
+        "{text}"
+    );
+}
+
 /// Killed at any moment a recording can be inspected, and holds what came until half a second before.
 #[test]
 fn a_recording_killed_at_any_moment_is_inspected() {

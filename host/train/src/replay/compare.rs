@@ -29,6 +29,17 @@ pub struct MessageCounts {
     pub lost: u32,
 }
 
+/// Stretches that were not replayed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct OmittedStretches {
+    /// Stretches at a frequency outside the hob's ratings.
+    pub out_of_range: usize,
+    /// Stretches shorter than a block.
+    pub short: usize,
+    /// Samples of all of them.
+    pub samples: usize,
+}
+
 /// Result of a replay.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ReplayReport {
@@ -36,8 +47,12 @@ pub struct ReplayReport {
     pub device: String,
     /// Stretches replayed, each of one frequency.
     pub stretches: usize,
+    /// Stretches that were not replayed.
+    pub omitted: OmittedStretches,
     /// Blocks of 61 pairs replayed.
     pub blocks: usize,
+    /// Pairs replayed at a limit of the front end's range: the capture goes beyond it.
+    pub saturated: usize,
     /// Estimates of R and L compared, one a block.
     pub estimates: usize,
     /// Windows compared and lost.
@@ -60,6 +75,11 @@ impl ReplayReport {
     /// Returns `true` if nothing differs.
     pub fn is_identical(&self) -> bool {
         self.differences == 0
+    }
+
+    /// Returns `true` if no half-cycle was compared, neither its window nor its telemetry.
+    pub fn is_without_half_cycles(&self) -> bool {
+        self.windows.compared == 0 && self.telemetry.compared == 0
     }
 
     /// Compares a value and records a difference; `text` formats it.

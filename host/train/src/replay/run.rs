@@ -12,9 +12,9 @@ use ihd_shared::sampling::{ADC_LOCK_P, Pair, Scales};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_signal::Segment;
 
-use super::compare::ReplayReport;
+use super::compare::{OmittedStretches, ReplayReport};
 use super::reference::ReferenceDevice;
-use super::stretch::{BUS_DV, Stretch};
+use super::stretch::{BUS_DV, Omitted, Stretch};
 
 /// Most reconnections of the link.
 const RECONNECTS: u32 = 8;
@@ -103,8 +103,7 @@ pub fn run(
     let started = Instant::now();
     let device = connect()?;
     let scales = device.front_end().scales();
-    let stretches = segments.iter().filter_map(|s| Stretch::resample(s, scales));
-    let stretches: Vec<_> = stretches.collect();
+    let (stretches, omitted) = stretches(segments, scales);
     if stretches.is_empty() {
         return Err(ReplayError::Nothing);
     }
@@ -119,6 +118,8 @@ pub fn run(
         outcome: ReplayReport {
             device: format!("{} ({})", device.describe(), device.hello().build),
             stretches: stretches.len(),
+            omitted,
+            saturated: stretches.iter().map(Stretch::saturated).sum(),
             ..ReplayReport::default()
         },
         connect,
@@ -142,6 +143,24 @@ pub fn run(
     run.judge_lost();
     run.outcome.seconds = started.elapsed().as_secs_f64();
     Ok(run.outcome)
+}
+
+/// Resamples what can be replayed and counts the rest.
+fn stretches(segments: &[Segment], scales: Scales) -> (Vec<Stretch>, OmittedStretches) {
+    let mut stretches = Vec::new();
+    let mut omitted = OmittedStretches::default();
+    for segment in segments {
+        match Stretch::resample(segment, scales) {
+            Ok(stretch) => {
+                stretches.push(stretch);
+                continue;
+            }
+            Err(Omitted::Frequency) => omitted.out_of_range += 1,
+            Err(Omitted::Short) => omitted.short += 1,
+        }
+        omitted.samples += segment.v_v.len();
+    }
+    (stretches, omitted)
 }
 
 impl Run<'_> {

@@ -1,7 +1,7 @@
 //! Blocks of a capture for a device: one stretch of pairs on the ADC's grid for every frequency.
 
 use ihd_shared::hob::{BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ};
-use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, Pair, Scales};
+use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_BITS, Pair, Scales};
 use ihd_signal::Segment;
 use ihd_signal::TimeBase;
 use ihd_signal::resample::{AdcGrid, adc_pairs};
@@ -9,6 +9,15 @@ use ihd_signal::resample::{AdcGrid, adc_pairs};
 /// Relative difference of a capture's rate from the ADC's up to which it is not resampled: over a half-cycle it drifts by less than a
 /// sample.
 const MAX_RATE_DIFFERENCE: f64 = 1e-4;
+
+/// Reason why a segment is not replayed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Omitted {
+    /// Its frequency is outside the hob's ratings.
+    Frequency,
+    /// It is shorter than a block.
+    Short,
+}
 
 /// Whole blocks of pairs at one switching frequency.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,12 +35,14 @@ pub struct Stretch {
 }
 
 impl Stretch {
-    /// Resamples a segment to codes of the device's scales; `None` if it is shorter than a block, or its frequency is outside the hob's
-    /// ratings.
-    pub fn resample(segment: &Segment, scales: Scales) -> Option<Self> {
+    /// Resamples a segment to codes of the device's scales.
+    ///
+    /// # Errors
+    /// The reason why it cannot be replayed.
+    pub fn resample(segment: &Segment, scales: Scales) -> Result<Self, Omitted> {
         let f_sw_hz = segment.f_sw_hz.round() as u32;
         if !(F_SW_MIN_HZ..=F_SW_MAX_HZ).contains(&f_sw_hz) {
-            return None;
+            return Err(Omitted::Frequency);
         }
         let own_hz = f64::from(ADC_LOCK_Q) / (ADC_LOCK_P as f64 * segment.dt_s);
         let on_grid = (own_hz / segment.f_sw_hz - 1.0).abs() < MAX_RATE_DIFFERENCE;
@@ -54,13 +65,24 @@ impl Stretch {
             .map(|after_s| (after_s / dt_s).ceil() as usize)
             .take_while(|&at| at < pairs.len())
             .collect();
-        (!pairs.is_empty()).then_some(Self {
+        if pairs.is_empty() {
+            return Err(Omitted::Short);
+        }
+        Ok(Self {
             f_sw_hz,
             t0_s: segment.t0_s,
             dt_s,
             pairs,
             crossings,
         })
+    }
+
+    /// Returns the number of pairs at a limit of the converters' range.
+    pub fn saturated(&self) -> usize {
+        let limit = 1 << (CODE_BITS - 1);
+        let is_limit = |code: i16| i32::from(code) == -limit || i32::from(code) == limit - 1;
+        let pairs = self.pairs.iter();
+        pairs.filter(|p| is_limit(p.v) || is_limit(p.i)).count()
     }
 
     /// Returns the number of blocks.
@@ -166,7 +188,26 @@ mod tests {
             f_sw_hz: 20e3,
             ..segment(0.2e-6, 120_000)
         };
-        assert_eq!(Stretch::resample(&slow, SCALES), None);
-        assert_eq!(Stretch::resample(&segment(0.2e-6, 30), SCALES), None);
+        assert_eq!(Stretch::resample(&slow, SCALES), Err(Omitted::Frequency));
+        let short = segment(0.2e-6, 30);
+        assert_eq!(Stretch::resample(&short, SCALES), Err(Omitted::Short));
+    }
+
+    /// 50 of 100 codes of 400 V and 80 A, for a front end of 300 V and one of 4 V.
+    #[test]
+    fn pairs_beyond_the_front_end_are_counted() {
+        let own = segment(1.0 / f_adc_hz(45_000), 20_000);
+        let of = |v_full_scale_mv| {
+            let scales = Scales {
+                v_full_scale_mv,
+                ..SCALES
+            };
+            Stretch::resample(&own, scales).unwrap()
+        };
+        assert_eq!(of(300_000).saturated(), 0);
+        let narrow = of(4_000);
+        // Codes from 21 to 49 and from -50 to -21 are beyond.
+        let share = narrow.saturated() as f64 / narrow.pairs.len() as f64;
+        assert!((share - 0.59).abs() < 0.01, "{share}");
     }
 }

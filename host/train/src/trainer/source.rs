@@ -46,7 +46,7 @@ impl RecordedHalfCycle {
         bounds
             .filter(|(from, to)| (to - from) as f64 >= whole)
             .filter_map(|(from, to)| {
-                let stretch = Stretch::resample(&segment.part(from, to), scales)?;
+                let stretch = Stretch::resample(&segment.part(from, to), scales).ok()?;
                 let crossing_s = segment.crossing_of_s((from, to));
                 Some(Self {
                     f_sw_hz: stretch.f_sw_hz,
