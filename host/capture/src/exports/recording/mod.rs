@@ -56,13 +56,15 @@ pub enum RecordingExportError {
         hint: &'static str,
     },
     /// The export exceeds the limit of bytes.
-    #[error("it would become larger than {} MB; download the MCAP file, and convert it with `ihd convert`", .bytes / 1_000_000)]
+    #[error("it would become larger than {} MB: download the MCAP file, of which `ihd convert` writes the samples", .bytes / 1_000_000)]
     TooLarge {
         /// The limit in bytes.
         bytes: u64,
     },
     /// The export missed its deadline.
-    #[error("it takes too long here; download the MCAP file, and convert it with `ihd convert`")]
+    #[error(
+        "it takes too long here: download the MCAP file, of which `ihd convert` writes the samples"
+    )]
     TooLong,
     /// The export was cancelled.
     #[error("the export was cancelled")]
