@@ -30,7 +30,7 @@ impl OpenFile {
                 what: "it holds both channels already and cannot be paired".to_owned(),
             });
         };
-        let opened = open(Box::new(regular(path)?), options.columns.as_ref());
+        let opened = open(Box::new(regular(path)?), options.of_file());
         Ok(Self {
             path: path.to_owned(),
             source: opened.map_err(|e| e.in_file(path))?,
@@ -125,7 +125,7 @@ pub fn assembled(
         ..options.channels.clone()
     };
     let chosen = choose(&channels, &channel_options).map_err(choice)?;
-    let mut metadata = files[0].source.metadata();
+    let metadata = files[0].source.metadata();
     // Facts of the file refer to its own clock; they do not hold with another rate.
     let facts = match options.rate_hz {
         None => files[0].source.facts().map_err(|e| e.in_file(&path))?,
@@ -141,7 +141,6 @@ pub fn assembled(
                  with --input channels=V,I, numbered through both files"
             )));
         }
-        metadata.insert("paired_with".to_owned(), second);
     }
     let places = chosen.map(|c| c.index);
     let (mut columns, time) = read_columns(&mut files, places, options, progress)?;
@@ -232,13 +231,14 @@ fn paired_columns(both: Vec<FileSamples>, options: &OpenOptions) -> Result<Colum
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::formats::stated_unit::StatedUnit;
 
     /// SCPI's overflow mark, as a voltage of 9.9e37 V, made R -7.7e31 ohm; a probe's factor must not hide it.
     #[test]
     fn an_overflow_mark_is_not_finite() {
         let channel = FileChannel {
             name: "v".into(),
-            unit: None,
+            unit: StatedUnit::Nothing,
             full_scale: None,
         };
         for factor in [1.0, 0.01, 100.0] {

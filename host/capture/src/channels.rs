@@ -6,6 +6,7 @@ use std::fmt;
 use ihd_signal::printable;
 
 use super::formats::channel::FileChannel;
+use super::formats::stated_unit::StatedUnit;
 use super::formats::unit::{ColumnQuantity, Unit};
 
 /// A channel as the user names it: by its number, the first is 1, or by its name.
@@ -23,6 +24,11 @@ impl ChannelRef {
         let text = text.trim();
         text.parse()
             .map_or_else(|_| Self::Name(text.to_owned()), Self::Number)
+    }
+
+    /// Returns `true` for `-`, which stands for no column.
+    pub fn is_none_column(&self) -> bool {
+        matches!(self, Self::Name(name) if name == "-")
     }
 
     /// Returns the index of the channel among `names`; a name counts before a number.
@@ -121,7 +127,7 @@ fn detected(channels: &[FileChannel], swap: bool) -> Result<[usize; 2], String> 
         all.next().filter(|_| all.next().is_none())
     };
     let find = |quantity: ColumnQuantity| {
-        let of_unit = |c: &FileChannel| c.unit.is_some_and(|u| u.quantity == quantity);
+        let of_unit = |c: &FileChannel| c.unit.known().is_some_and(|u| u.quantity == quantity);
         let of_name = |c: &FileChannel| quantity_of_name(&c.name) == Some(quantity);
         // A current probe's channel is in volt, so a name may overrule that unit.
         only(&|c| of_unit(c) && of_name(c))
@@ -129,7 +135,7 @@ fn detected(channels: &[FileChannel], swap: bool) -> Result<[usize; 2], String> 
             .or_else(|| only(&of_name))
             .or_else(|| only(&of_unit))
     };
-    let other = |k: usize| (channels.len() == 2).then_some(1 - k);
+    let other = |k: usize| (channels.len() == 2).then(|| 1 - k);
     let pair = match (find(ColumnQuantity::Voltage), find(ColumnQuantity::Current)) {
         (Some(v), Some(i)) if v != i => Some([v, i]),
         (None, Some(i)) => other(i).map(|v| [v, i]),
@@ -177,8 +183,16 @@ fn chosen(
     let stated = options.units.map(|units| units[side]);
     // A ratio or an exchange given by the user overrides what a unit measures.
     let settled = options.probe.is_some() || options.swap;
-    let in_file = channels.get(index).and_then(|c| c.unit);
-    let scale = match stated.or(in_file) {
+    let in_file = channels.get(index).map(|c| &c.unit);
+    if let (None, Some(StatedUnit::Unknown(unit))) = (stated, in_file) {
+        return Err(format!(
+            "channel {} is in `{}`, which is neither volt nor ampere: give the units, as in --input units=V,A, with the volt and ampere of one \
+             as --input probe=V,A if the samples are other numbers",
+            labelled((index, &channels[index])),
+            printable(unit)
+        ));
+    }
+    let scale = match stated.or_else(|| in_file?.known()) {
         None => 1.0,
         Some(unit) if unit.quantity == quantity || settled => unit.scale,
         Some(unit) => {
@@ -213,13 +227,18 @@ fn chosen(
 /// Largest number of channels listed in a message.
 const LISTED: usize = 12;
 
+/// Number of a channel, and its name if it has one.
+fn labelled((index, channel): (usize, &FileChannel)) -> String {
+    match channel.name.as_str() {
+        "" => format!("{}", index + 1),
+        name => format!("{} `{}`", index + 1, printable(name)),
+    }
+}
+
 fn listed(channels: &[FileChannel]) -> String {
-    let one = |(k, c): (usize, &FileChannel)| {
-        let unit = c.unit.map_or(String::new(), |u| format!(" in {u}"));
-        match c.name.as_str() {
-            "" => format!("{}{unit}", k + 1),
-            name => format!("{} `{}`{unit}", k + 1, printable(name)),
-        }
+    let one = |(k, c): (usize, &FileChannel)| match &c.unit {
+        StatedUnit::Nothing => labelled((k, c)),
+        unit => format!("{} in {unit}", labelled((k, c))),
     };
     let shown: Vec<_> = channels.iter().enumerate().take(LISTED).map(one).collect();
     let rest = channels.len().saturating_sub(LISTED);
@@ -241,7 +260,7 @@ mod tests {
     fn channel(name: &str, unit: Option<&str>) -> FileChannel {
         FileChannel {
             name: name.to_owned(),
-            unit: unit.and_then(Unit::parse),
+            unit: unit.map_or(StatedUnit::Nothing, StatedUnit::parse),
             full_scale: None,
         }
     }
@@ -309,6 +328,42 @@ mod tests {
         assert!(single.contains("one channel only"), "{single}");
         let none = choose(&[], &ChannelOptions::default()).unwrap_err();
         assert!(none.contains("no channel"), "{none}");
+    }
+
+    /// Counts of a converter and mean values as volt or ampere gave a wrong R, and no doubt.
+    #[test]
+    fn a_unit_that_is_neither_volt_nor_ampere_is_asked_for() {
+        for unit in ["counts", "div", "Vrms", "MV", "W", "%"] {
+            let pair = [channel("v", Some(unit)), channel("i", Some("A"))];
+            let asked = choose(&pair, &ChannelOptions::default()).unwrap_err();
+            for part in ["channel 1 `v`", unit, "--input units=V,A"] {
+                assert!(asked.contains(part), "{asked}");
+            }
+            let stated = ChannelOptions {
+                units: Some([Unit::VOLT, Unit::AMPERE]),
+                probe: Some([0.01, 1.0]),
+                ..ChannelOptions::default()
+            };
+            assert_eq!(choose(&pair, &stated).unwrap()[0].factor, 0.01);
+        }
+        // A channel that is not chosen may be in anything.
+        let three = [
+            channel("v", Some("V")),
+            channel("i", Some("A")),
+            channel("power", Some("W")),
+        ];
+        assert_eq!(indices(&three, &ChannelOptions::default()), Ok([0, 1]));
+    }
+
+    #[test]
+    fn one_known_channel_of_three_leaves_a_choice() {
+        let three = [
+            channel("CH1", None),
+            channel("CH2", None),
+            channel("i", Some("A")),
+        ];
+        let asked = choose(&three, &ChannelOptions::default()).unwrap_err();
+        assert!(asked.contains("--input channels=V,I"), "{asked}");
     }
 
     #[test]

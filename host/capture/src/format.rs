@@ -6,7 +6,6 @@ use std::path::Path;
 
 use ihd_signal::Capture;
 
-use super::channels::ChannelRef;
 use super::error::{CaptureError, FormatError};
 use super::exports::{self, ExportError};
 use super::formats::csv::CsvSource;
@@ -16,20 +15,18 @@ use super::formats::trc::{self, TrcSource};
 use super::formats::wfm::{self, WfmSource};
 use super::formats::{CaptureFile, ReadProgress, mat, npz};
 use super::mcap::{self, McapFileError, SalvagedCapture};
+use super::options::ReadOptions;
 
 /// Number of bytes by which a format is recognised.
 const HEAD: usize = 4096;
-
-/// Columns of a table specified by the user: time, voltage, current.
-type Columns<'a> = Option<&'a [ChannelRef; 3]>;
 
 /// File whose header was read, or its defect.
 type Opened = Result<Box<dyn CaptureFile>, FormatError>;
 
 /// Reader of a format.
 pub(super) enum Opener {
-    /// Reads the header first, then the samples of the selected channels; the columns apply to tables only.
-    Channels(fn(Box<dyn ReadSeek>, Columns<'_>) -> Opened),
+    /// Reads the header first, then the samples of the selected channels; columns apply to tables only.
+    Channels(fn(Box<dyn ReadSeek>, ReadOptions<'_>) -> Opened),
     /// Reads a whole capture, for our own format.
     Whole(fn(&Path) -> Result<SalvagedCapture, McapFileError>),
 }
@@ -65,7 +62,7 @@ pub struct CaptureFormat {
 
 const fn reading(
     recognises: fn(&[u8]) -> bool,
-    open: fn(Box<dyn ReadSeek>, Columns<'_>) -> Opened,
+    open: fn(Box<dyn ReadSeek>, ReadOptions<'_>) -> Opened,
 ) -> Option<ReadSupport> {
     let open = Opener::Channels(open);
     Some(ReadSupport { recognises, open })
@@ -111,7 +108,10 @@ pub static FORMATS: [CaptureFormat; 8] = [
         name: "MATLAB MAT v5",
         reading: reading(
             |head| mat::endian(head).is_some(),
-            |file, _| Input::new(file).and_then(mat::open).map(boxed),
+            |file, options| {
+                let input = Input::new(file)?;
+                mat::open(input, options).map(boxed)
+            },
         ),
         writing: None,
     },
@@ -119,7 +119,7 @@ pub static FORMATS: [CaptureFormat; 8] = [
         name: "NPZ",
         reading: reading(
             |head| head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"),
-            |file, _| npz::open(file).map(boxed),
+            |file, options| npz::open(file, options).map(boxed),
         ),
         writing: Some(WriteSupport {
             ending: "npz",
@@ -128,8 +128,8 @@ pub static FORMATS: [CaptureFormat; 8] = [
     },
     CaptureFormat {
         name: "CSV",
-        reading: reading(is_text, |file, columns| {
-            CsvSource::open(file, columns).map(boxed)
+        reading: reading(is_text, |file, options| {
+            CsvSource::open(file, options).map(boxed)
         }),
         writing: Some(WriteSupport {
             ending: "csv",
@@ -251,6 +251,21 @@ fn described(kind: FileType) -> &'static str {
 
 /// Recognises a file's format by its first bytes and returns its reader.
 pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
+    recognised(path).map(|(_, reading)| &reading.open)
+}
+
+/// Returns the name of a file's format, by its first bytes.
+///
+/// # Errors
+/// [`CaptureError`] for a file that cannot be read or is in no known format.
+pub fn name(path: &Path) -> Result<&'static str, CaptureError> {
+    recognised(path).map(|(format, _)| format.name)
+}
+
+/// Format with its reader.
+type Reader = (&'static CaptureFormat, &'static ReadSupport);
+
+fn recognised(path: &Path) -> Result<Reader, CaptureError> {
     let mut head = Vec::new();
     let read = regular(path)?.take(HEAD as u64).read_to_end(&mut head);
     read.map_err(|source| CaptureError::Open {
@@ -262,7 +277,7 @@ pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
             path: path.to_owned(),
         });
     }
-    opener(&head).map_err(|what| CaptureError::Unknown {
+    reader(&head).map_err(|what| CaptureError::Unknown {
         path: path.to_owned(),
         what: format!("{what}; readable are {}", readable()),
     })
@@ -270,24 +285,27 @@ pub(super) fn recognise(path: &Path) -> Result<&'static Opener, CaptureError> {
 
 /// Opens a file in memory, but for MCAP; `None` if its format is not known.
 pub fn open_bytes(bytes: Vec<u8>) -> Option<Opened> {
-    match opener(&bytes[..bytes.len().min(HEAD)]) {
-        Ok(Opener::Channels(open)) => Some(open(Box::new(Cursor::new(bytes)), None)),
+    match reader(&bytes[..bytes.len().min(HEAD)]).map(|(_, reading)| &reading.open) {
+        Ok(Opener::Channels(open)) => {
+            Some(open(Box::new(Cursor::new(bytes)), ReadOptions::default()))
+        }
         Ok(Opener::Whole(_)) | Err(_) => None,
     }
 }
 
-/// Returns the reader for a file that begins with `head`.
-fn opener(head: &[u8]) -> Result<&'static Opener, &'static str> {
+/// Returns the format of a file that begins with `head`.
+fn reader(head: &[u8]) -> Result<Reader, &'static str> {
     if head.starts_with(b"\x89HDF") || head.starts_with(b"MATLAB 7.3") {
         return Err("it is HDF5 (MATLAB's -v7.3): save it with -v7");
     }
     if head.starts_with(&[0xFF, 0xFE]) || head.starts_with(&[0xFE, 0xFF]) {
         return Err("it is text in UTF-16: save it as UTF-8");
     }
-    let mut readers = FORMATS.iter().filter_map(|format| format.reading.as_ref());
-    let reader = readers.find(|reading| (reading.recognises)(head));
-    reader
-        .map(|reading| &reading.open)
+    let mut readers = FORMATS
+        .iter()
+        .filter_map(|format| Some((format, format.reading.as_ref()?)));
+    readers
+        .find(|(_, reading)| (reading.recognises)(head))
         .ok_or("it is binary and begins like none of them")
 }
 

@@ -8,6 +8,7 @@ use super::assembly::OpenFile;
 use super::error::CaptureError;
 use super::format::{Opener, recognise};
 use super::formats::FileSamples;
+use super::formats::stated_unit::StatedUnit;
 use super::options::OpenOptions;
 
 /// Description of the only channel of a file.
@@ -73,7 +74,7 @@ pub fn lone_channel(
             .remove("format")
             .unwrap_or_else(|| "text".to_owned()),
         name: channel.name,
-        unit: channel.unit.map(|u| u.to_string()),
+        unit: (channel.unit != StatedUnit::Nothing).then(|| channel.unit.to_string()),
         full_scale: channel.full_scale,
         samples: x.len(),
         rate_hz: match time {

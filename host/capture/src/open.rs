@@ -9,6 +9,7 @@ use super::channels::{ChosenChannel, choose};
 use super::error::CaptureError;
 use super::format::{Opener, recognise};
 use super::formats::FileChannel;
+use super::formats::stated_unit::StatedUnit;
 use super::formats::unit::Unit;
 use super::mcap::{FileLosses, SalvagedCapture};
 use super::options::OpenOptions;
@@ -94,7 +95,7 @@ pub(super) fn adjusted(
     }
     let channel = |name: &str, unit, full_scale| FileChannel {
         name: name.to_owned(),
-        unit: Some(unit),
+        unit: StatedUnit::Known(unit),
         full_scale,
     };
     let channels = [

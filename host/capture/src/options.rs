@@ -19,7 +19,24 @@ pub struct OpenOptions {
     pub rate_hz: Option<f64>,
 }
 
+/// Options that the reader of one file gets.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ReadOptions<'a> {
+    /// Columns of a table: time (`-` for none), voltage, current.
+    pub columns: Option<&'a [ChannelRef; 3]>,
+    /// Set where a stated rate replaces the file's times: they are neither read nor judged.
+    pub without_times: bool,
+}
+
 impl OpenOptions {
+    /// Returns the options that the reader of one file gets.
+    pub fn of_file(&self) -> ReadOptions<'_> {
+        ReadOptions {
+            columns: self.columns.as_ref(),
+            without_times: self.rate_hz.is_some(),
+        }
+    }
+
     /// Returns the times by the stated rate, from `t0_s` seconds on; `None` if the file's times hold.
     pub fn stated_time(&self, t0_s: f64) -> Option<TimeBase> {
         let dt_s = 1.0 / self.rate_hz?;

@@ -8,10 +8,11 @@ use std::collections::BTreeMap;
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_signal::{FrequencyStep, TimeBase};
 
+use super::stated_unit::StatedUnit;
 use super::time::{binary_resolution, time_base};
-use super::unit::{ColumnQuantity, Unit};
 use super::{CaptureFile, FileChannel, FileFacts, FileSamples, ReadProgress};
 use crate::error::FormatError;
+use crate::options::ReadOptions;
 
 /// One array, as the file's directory describes it.
 #[derive(Clone, Debug, PartialEq)]
@@ -72,8 +73,8 @@ const START: [&str; 4] = ["t0", "tstart", "start", "xzero"];
 const RATE: [&str; 5] = ["fs", "f_s", "samplerate", "sample_rate", "rate"];
 
 /// Name without its unit, and the unit.
-fn heading(array: &Array) -> (String, Option<Unit>) {
-    Unit::of_heading(&array.name)
+fn heading(array: &Array) -> (String, StatedUnit) {
+    StatedUnit::of_heading(&array.name)
 }
 
 /// Indices of the time vector, if there is one, and of the vectors that are as long.
@@ -84,7 +85,7 @@ fn vectors(arrays: &[Array]) -> Result<(Option<usize>, Vec<usize>), FormatError>
     let is_time = |a: &Array| {
         let (name, unit) = heading(a);
         let named = TIME.contains(&name.to_lowercase().as_str());
-        a.length > 1 && named && unit.is_none_or(|u| u.quantity == ColumnQuantity::Time)
+        a.length > 1 && named && unit.seconds().is_ok()
     };
     let time = arrays.iter().position(is_time);
     let is_truth = |a: &Array| a.name.starts_with(TRUTH);
@@ -121,12 +122,18 @@ impl<A: Arrays> ArraySource<A> {
     ///
     /// # Errors
     /// [`FormatError`] when there is no vector.
-    pub fn new(reader: A, arrays: Vec<Array>, format: &str) -> Result<Self, FormatError> {
+    pub fn new(
+        reader: A,
+        arrays: Vec<Array>,
+        format: &str,
+        options: ReadOptions<'_>,
+    ) -> Result<Self, FormatError> {
         let (time, columns) = vectors(&arrays)?;
         let clock = match time {
+            _ if options.without_times => Clock::Missing,
             Some(index) => Clock::Array {
                 index,
-                scale: heading(&arrays[index]).1.map_or(1.0, |u| u.scale),
+                scale: heading(&arrays[index]).1.seconds().unwrap_or(1.0),
             },
             None => clock_of_scalars(&arrays),
         };
@@ -139,11 +146,11 @@ impl<A: Arrays> ArraySource<A> {
         let channel = |k: &usize| {
             let (name, unit) = heading(&arrays[*k]);
             // Our own `v_full_scale_V` of `v_V`.
-            let full_scale = (format!("{name}_full_scale"), unit);
+            let full_scale = (format!("{name}_full_scale"), unit.clone());
             let full_scale = arrays.iter().find(|a| heading(a) == full_scale);
             FileChannel {
                 name,
-                unit: unit.or_else(|| Unit::parse(unit_stated?)),
+                unit: unit.or_else(|| StatedUnit::parse(unit_stated.unwrap_or_default())),
                 full_scale: full_scale.and_then(|a| a.scalar).filter(|x| *x > 0.0),
             }
         };
@@ -246,12 +253,12 @@ impl<A: Arrays> ArraySource<A> {
 fn clock_of_scalars(arrays: &[Array]) -> Clock {
     let scalar = |names: &[&str]| {
         arrays.iter().find_map(|a| {
-            let (name, unit) = Unit::of_heading(&a.name);
+            let (name, unit) = heading(a);
             let whole = a.name.to_lowercase();
             let known = |n: &str| names.contains(&n);
             let named = known(&name.to_lowercase()) || known(&whole);
             let value = a.scalar.filter(|x| named && x.is_finite())?;
-            Some(value * unit.map_or(1.0, |u| u.scale))
+            Some(value * unit.known().map_or(1.0, |u| u.scale))
         })
     };
     let rate = scalar(&RATE).filter(|hz| *hz > 0.0).map(|hz| 1.0 / hz);
@@ -361,7 +368,7 @@ mod tests {
             scalar: (*length == 1).then_some(1e-6),
             text: None,
         });
-        ArraySource::new(NoNumbers, arrays.collect(), "test")
+        ArraySource::new(NoNumbers, arrays.collect(), "test", ReadOptions::default())
             .map(|source| source.channels.len())
             .map_err(|error| error.to_string())
     }

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use ihd_signal::TimeBase;
 
 use super::input::{Endian, Input, SampleType};
-use super::unit::Unit;
+use super::stated_unit::StatedUnit;
 use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel};
 use crate::error::FormatError;
 
@@ -88,11 +88,12 @@ impl Header {
             let what = format!("XINCR {dt:e}: a sampling interval is positive");
             return Err(FormatError::at_byte(0, what));
         }
-        let unit = self.get("XUN").and_then(Unit::parse);
-        let unit = unit.unwrap_or(Unit::SECOND);
+        let scale = self.unit("XUN").seconds().map_err(|unit| {
+            FormatError::at_byte(0, format!("samples over {unit}, no waveform over time"))
+        })?;
         Ok(TimeBase::Even {
-            t0_s: (first - dt * point) * unit.scale,
-            dt_s: dt * unit.scale,
+            t0_s: (first - dt * point) * scale,
+            dt_s: dt * scale,
         })
     }
 
@@ -100,6 +101,11 @@ impl Header {
     fn get(&self, short: &str) -> Option<&str> {
         let pair = self.pairs.iter().find(|(key, _)| key.starts_with(short));
         pair.map(|(_, value)| value.as_str())
+    }
+
+    /// Unit under a key.
+    fn unit(&self, short: &str) -> StatedUnit {
+        StatedUnit::parse(self.get(short).unwrap_or_default())
     }
 
     fn number(&self, short: &str) -> Result<f64, FormatError> {
@@ -184,7 +190,7 @@ impl IsfSource {
             channel: FileChannel {
                 // `Ch1, DC coupling, 2.000V/div, …`
                 name: name.split(',').next().unwrap_or_default().trim().to_owned(),
-                unit: header.get("YUN").and_then(Unit::parse),
+                unit: header.unit("YUN"),
                 full_scale,
             },
             metadata,

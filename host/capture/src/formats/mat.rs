@@ -11,6 +11,7 @@ use flate2::read::ZlibDecoder;
 use super::arrays::{Array, ArraySource, Arrays, plausible};
 use super::input::{Endian, Input, SampleType, decode_from};
 use crate::error::FormatError;
+use crate::options::ReadOptions;
 
 /// Size of the file's header in bytes.
 pub const HEADER: usize = 128;
@@ -55,7 +56,10 @@ struct Element {
 ///
 /// # Errors
 /// [`FormatError`] for a damaged file and one without vectors.
-pub fn open(mut input: Input) -> Result<ArraySource<MatArrays>, FormatError> {
+pub fn open(
+    mut input: Input,
+    options: ReadOptions<'_>,
+) -> Result<ArraySource<MatArrays>, FormatError> {
     let header = input.array::<HEADER>()?;
     let endian = endian(&header).ok_or_else(|| FormatError::at_byte(124, "no MAT version 5"))?;
     let mut arrays = Vec::new();
@@ -84,7 +88,7 @@ pub fn open(mut input: Input) -> Result<ArraySource<MatArrays>, FormatError> {
         endian,
         elements,
     };
-    ArraySource::new(reader, arrays, "MATLAB MAT v5")
+    ArraySource::new(reader, arrays, "MATLAB MAT v5", options)
 }
 
 impl Arrays for MatArrays {

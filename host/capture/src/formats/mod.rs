@@ -10,6 +10,7 @@ pub mod input;
 pub mod isf;
 pub mod mat;
 pub mod npz;
+pub mod stated_unit;
 pub mod time;
 pub mod trc;
 pub mod unit;

@@ -13,6 +13,7 @@ use super::arrays::{Array, ArraySource, Arrays, plausible};
 use super::input::{Endian, ReadSeek, SampleType, decode_from};
 use super::{CaptureFile, FileChannel, FileFacts, FileSamples, ReadProgress};
 use crate::error::FormatError;
+use crate::options::ReadOptions;
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
@@ -72,7 +73,10 @@ pub struct NpzArrays {
 ///
 /// # Errors
 /// [`FormatError`] for a damaged file and one without vectors.
-pub fn open(source: impl ReadSeek + 'static) -> Result<NpzSource, FormatError> {
+pub fn open(
+    source: impl ReadSeek + 'static,
+    options: ReadOptions<'_>,
+) -> Result<NpzSource, FormatError> {
     let source: Box<dyn ReadSeek> = Box::new(source);
     let mut archive = ZipArchive::new(source)
         .map_err(|e| in_archive(0, "no ZIP archive, or its end is cut off", &e))?;
@@ -103,7 +107,8 @@ pub fn open(source: impl ReadSeek + 'static) -> Result<NpzSource, FormatError> {
             members.push(index);
         }
     }
-    let arrays = ArraySource::new(NpzArrays { archive, members }, arrays, "NumPy NPZ")?;
+    let reader = NpzArrays { archive, members };
+    let arrays = ArraySource::new(reader, arrays, "NumPy NPZ", options)?;
     Ok(NpzSource { arrays, notes })
 }
 

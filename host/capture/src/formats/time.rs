@@ -57,7 +57,27 @@ pub fn decimal_resolution(stamps: &[f64], significant_digits: usize) -> f64 {
 /// Resolution of stamps that are all single-precision numbers, in their unit; 0 of others. A program that adds in single precision rounds
 /// twice.
 pub fn binary_resolution(stamps: &[f64]) -> f64 {
-    match stamps.iter().all(|t| f64::from(*t as f32) == *t) {
+    single_resolution(stamps, |t| f64::from(*t as f32) == *t)
+}
+
+/// Resolution of stamps that were written in decimals, perhaps from single-precision numbers, in their unit.
+pub fn written_resolution(stamps: &[f64], significant_digits: usize) -> f64 {
+    // The fewest decimals, as Python and pandas write them; nine, as C's %.9g does.
+    let is_single = |t: &f64| {
+        let single = *t as f32;
+        let texts = [single.to_string(), format!("{single:.8e}")];
+        texts.iter().any(|text| text.parse() == Ok(*t))
+    };
+    let single = match significant_digits {
+        // Decimals with fewer digits are as coarse as the number.
+        8 | 9 => single_resolution(stamps, is_single),
+        _ => binary_resolution(stamps),
+    };
+    single.max(decimal_resolution(stamps, significant_digits))
+}
+
+fn single_resolution(stamps: &[f64], is_single: impl Fn(&f64) -> bool) -> f64 {
+    match stamps.iter().all(is_single) {
         true => 2.0 * f64::from(f32::EPSILON) * largest(stamps),
         false => 0.0,
     }
@@ -192,6 +212,30 @@ mod tests {
                     "{missing}"
                 );
             }
+        }
+    }
+
+    #[test]
+    fn decimals_of_single_precision_are_recognised_and_others_not() {
+        let times = || (0..20_000).map(|k| -2e-3 + f64::from(k) * 1.2345678e-7);
+        let parsed = |text: String| text.parse::<f64>().unwrap();
+        let fewest = times().map(|t| parsed((t as f32).to_string()));
+        let of_nine = times().map(|t| parsed(format!("{:.8e}", t as f32)));
+        let all = times().map(|t| parsed(format!("{:.18e}", t as f32)));
+        for (stamps, digits) in [
+            (fewest.collect::<Vec<_>>(), 9),
+            (of_nine.collect(), 9),
+            (all.collect(), 19),
+        ] {
+            let resolution_s = written_resolution(&stamps, digits);
+            assert!((4e-10..6e-10).contains(&resolution_s), "{digits}");
+        }
+        for digits in [5, 8, 9] {
+            let double: Vec<f64> = times()
+                .map(|t| parsed(format!("{t:.*e}", digits - 1)))
+                .collect();
+            let resolution_s = written_resolution(&double, digits);
+            assert_eq!(resolution_s, decimal_resolution(&double, digits));
         }
     }
 

@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 use ihd_signal::TimeBase;
 
 use super::input::{Endian, Input, SampleType};
-use super::unit::Unit;
+use super::stated_unit::StatedUnit;
 use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel};
 use crate::error::FormatError;
 
@@ -47,7 +47,6 @@ mod field {
     pub const VERT_UNIT: u64 = 196;
     pub const HOR_UNIT: u64 = 244;
     pub const RECORD_TYPE: u64 = 316;
-    pub const PROBE_ATT: u64 = 328;
     pub const WAVE_SOURCE: u64 = 344;
 }
 
@@ -161,10 +160,8 @@ impl Layout {
         let (at, valid) = d.samples(kind)?;
         let gain = d.number(field::VERTICAL_GAIN, SampleType::F32)?;
         let offset = -d.number(field::VERTICAL_OFFSET, SampleType::F32)?;
-        let probe = d.number(field::PROBE_ATT, SampleType::F32)?;
         let metadata = [
             ("format", format!("TRC, {template}")),
-            ("probe_attenuation", probe.to_string()),
             ("instrument", d.text(field::INSTRUMENT_NAME, 16)?),
         ];
         Ok(Self {
@@ -222,7 +219,11 @@ impl Descriptor<'_> {
             let at = self.begin + field::HORIZ_INTERVAL;
             return Err(FormatError::at_byte(at, what));
         }
-        let scale = Unit::parse(&self.text(field::HOR_UNIT, 48)?).map_or(1.0, |u| u.scale);
+        let scale = StatedUnit::parse(&self.text(field::HOR_UNIT, 48)?);
+        let scale = scale.seconds().map_err(|unit| {
+            let what = format!("samples over {unit}, no waveform over time");
+            FormatError::at_byte(self.begin + field::HOR_UNIT, what)
+        })?;
         Ok(TimeBase::Even {
             t0_s: (begin_s + first as f64 * dt_s) * scale,
             dt_s: dt_s * scale,
@@ -241,7 +242,7 @@ impl Descriptor<'_> {
                 true => format!("C{}", source + 1),
                 false => label,
             },
-            unit: Unit::parse(&self.text(field::VERT_UNIT, 48)?),
+            unit: StatedUnit::parse(&self.text(field::VERT_UNIT, 48)?),
             full_scale: Some(high.max(low)).filter(|x| *x > 0.0),
         })
     }

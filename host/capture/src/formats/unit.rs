@@ -41,19 +41,14 @@ impl Unit {
 
     /// Parses a unit, with or without brackets; `None` for anything else.
     pub fn parse(text: &str) -> Option<Self> {
-        let bare = text
-            .trim()
-            .trim_matches(['(', ')', '[', ']', '"', '\''])
-            .trim();
-        let word = bare.to_ascii_lowercase();
-        let spelled = match word.as_str() {
-            "volt" | "volts" => Some(Self::VOLT),
-            "amp" | "amps" | "ampere" | "amperes" => Some(Self::AMPERE),
-            "sec" | "second" | "seconds" => Some(Self::SECOND),
-            _ => None,
+        let bare = without_brackets(text);
+        let lower = bare.to_ascii_lowercase();
+        let spelled = |(word, base): &(&str, Self)| {
+            let prefix = lower.strip_suffix(word)?.len();
+            base.prefixed(&bare[..prefix])
         };
-        if spelled.is_some() {
-            return spelled;
+        if let Some(unit) = SPELLED.iter().find_map(spelled) {
+            return Some(unit);
         }
         let base = match bare.chars().next_back()? {
             'V' | 'v' => Self::VOLT,
@@ -61,39 +56,43 @@ impl Unit {
             's' | 'S' => Self::SECOND,
             _ => return None,
         };
-        let prefix = &bare[..bare.len() - 1];
-        let scale = match prefix {
-            "" => 1.0,
-            "p" => 1e-12,
-            "n" => 1e-9,
-            "u" | "µ" | "μ" => 1e-6,
-            "m" => 1e-3,
-            "k" => 1e3,
-            _ => return None,
-        };
-        Some(Self { scale, ..base })
+        base.prefixed(&bare[..bare.len() - 1])
     }
 
-    /// Splits a heading with a unit at its end, as `v_mV`, `Volts (mV)`, `i[A]` or `CH1 in V`, into
-    /// name and unit. A heading that is only a unit (`Volt`) is its own name.
-    pub fn of_heading(heading: &str) -> (String, Option<Self>) {
-        let heading = heading.trim().trim_matches('"').trim();
-        if let Some(open) = heading.rfind(['(', '[']).filter(|open| *open > 0)
-            && let Some(unit) = Self::parse(&heading[open..])
-        {
-            return (heading[..open].trim().to_owned(), Some(unit));
-        }
-        for separator in [" in ", "_", " ", "/"] {
-            if let Some((name, unit)) = heading.rsplit_once(separator)
-                && let Some(unit) = Self::parse(unit)
-                && !name.trim().is_empty()
-            {
-                return (name.trim().to_owned(), Some(unit));
-            }
-        }
-        let whole = Self::parse(heading).filter(|_| heading.len() > 1);
-        (heading.to_owned(), whole)
+    /// Returns the unit with a prefix; `None` for a prefix that no capture has.
+    fn prefixed(self, prefix: &str) -> Option<Self> {
+        let scale = match prefix {
+            "" => 1.0,
+            "p" | "pico" => 1e-12,
+            "n" | "nano" => 1e-9,
+            "u" | "µ" | "μ" | "micro" => 1e-6,
+            "m" | "milli" => 1e-3,
+            "k" | "kilo" => 1e3,
+            // `KS` counts samples.
+            "K" if self.quantity != ColumnQuantity::Time => 1e3,
+            _ => return None,
+        };
+        Some(Self { scale, ..self })
     }
+}
+
+/// Base units as words, longer ones first.
+const SPELLED: [(&str, Unit); 9] = [
+    ("amperes", Unit::AMPERE),
+    ("ampere", Unit::AMPERE),
+    ("amps", Unit::AMPERE),
+    ("amp", Unit::AMPERE),
+    ("volts", Unit::VOLT),
+    ("volt", Unit::VOLT),
+    ("seconds", Unit::SECOND),
+    ("second", Unit::SECOND),
+    ("sec", Unit::SECOND),
+];
+
+/// Text of a unit without the brackets and quotes around it.
+pub fn without_brackets(text: &str) -> &str {
+    let bare = text.trim().trim_matches(['(', ')', '[', ']', '"', '\'']);
+    bare.trim()
 }
 
 impl fmt::Display for Unit {
@@ -130,41 +129,17 @@ mod tests {
             ("(us)", ColumnQuantity::Time, 1e-6),
             ("ns", ColumnQuantity::Time, 1e-9),
             ("Second", ColumnQuantity::Time, 1.0),
+            ("KV", ColumnQuantity::Voltage, 1e3),
+            ("(KA)", ColumnQuantity::Current, 1e3),
+            ("mVolts", ColumnQuantity::Voltage, 1e-3),
+            ("milliamps", ColumnQuantity::Current, 1e-3),
+            ("usec", ColumnQuantity::Time, 1e-6),
         ];
         for (text, quantity, scale) in cases {
             assert_eq!(Unit::parse(text), Some(Unit { quantity, scale }), "{text}");
         }
-        for text in ["", "dBm", "Hz", "U", "XV", "()", "CH1"] {
+        for text in ["", "dBm", "Hz", "U", "XV", "MV", "KS", "clamp", "()", "CH1"] {
             assert_eq!(Unit::parse(text), None, "{text}");
-        }
-    }
-
-    #[test]
-    fn headings_split_into_name_and_unit() {
-        let volt = Some(Unit::VOLT);
-        let milli = |unit: Unit| {
-            Some(Unit {
-                scale: 1e-3,
-                ..unit
-            })
-        };
-        for (heading, name, unit) in [
-            ("v_V", "v", volt),
-            ("i_mA", "i", milli(Unit::AMPERE)),
-            ("time_s", "time", Some(Unit::SECOND)),
-            ("Channel A (mV)", "Channel A", milli(Unit::VOLT)),
-            ("CH1 in V", "CH1", volt),
-            ("u [V]", "u", volt),
-            ("Volt", "Volt", volt),
-            ("CH1", "CH1", None),
-            ("V", "V", None),
-            ("(V)", "(V)", volt),
-        ] {
-            assert_eq!(
-                Unit::of_heading(heading),
-                (name.to_owned(), unit),
-                "{heading}"
-            );
         }
     }
 }

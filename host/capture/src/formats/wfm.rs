@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use ihd_signal::TimeBase;
 
 use super::input::{Endian, Input, SampleType};
-use super::unit::Unit;
+use super::stated_unit::StatedUnit;
 use super::{CaptureFile, FileChannel, FileSamples, ReadProgress, single_channel};
 use crate::error::FormatError;
 
@@ -124,7 +124,7 @@ impl WfmSource {
         Ok(Self {
             channel: FileChannel {
                 name: file.label.trim().to_owned(),
-                unit: Unit::parse(&vertical.unit),
+                unit: StatedUnit::parse(&vertical.unit),
                 full_scale: vertical.full_scale(kind),
             },
             input,
@@ -184,7 +184,7 @@ struct Horizontal {
     interval: f64,
     first: f64,
     declared: u64,
-    unit: Unit,
+    unit: StatedUnit,
 }
 
 impl Horizontal {
@@ -194,7 +194,7 @@ impl Horizontal {
             interval: input.number(SampleType::F64, endian)?,
             first: input.number(SampleType::F64, endian)?,
             declared: input.number(SampleType::U32, endian)? as u64,
-            unit: Unit::parse(&input.text(20)?).unwrap_or(Unit::SECOND),
+            unit: StatedUnit::parse(&input.text(20)?),
         })
     }
 
@@ -207,7 +207,10 @@ impl Horizontal {
             return Err(FormatError::at_byte(self.at, what));
         }
         let between = if trigger == NOT_KNOWN { 0.0 } else { trigger };
-        let scale = self.unit.scale;
+        let scale = self.unit.seconds().map_err(|unit| {
+            let what = format!("samples over {unit}, no waveform over time");
+            FormatError::at_byte(self.at, what)
+        })?;
         Ok(((first + between * interval) * scale, interval * scale))
     }
 }

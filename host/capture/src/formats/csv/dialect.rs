@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use csv::Position;
 
-use super::heading::{Heading, check_width, headings};
+use super::heading::{Heading, check_width, find, headings};
 use super::prelude::Prelude;
-use crate::channels::ChannelRef;
 use crate::error::FormatError;
 use crate::formats::channel::FileChannel;
+use crate::options::ReadOptions;
 
 /// Source of the samples' times.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +19,15 @@ pub enum TimeColumn {
         index: usize,
         /// Seconds of one unit.
         scale: f64,
+    },
+    /// A column that counts the samples; start and interval in the prelude.
+    Counter {
+        /// Index of the column.
+        index: usize,
+        /// Time of sample 0 in seconds.
+        t0_s: f64,
+        /// Interval in seconds.
+        dt_s: f64,
     },
     /// Start and interval in the prelude.
     Even {
@@ -50,26 +59,35 @@ pub struct ColumnLayout {
     pub metadata: BTreeMap<String, String>,
 }
 
+impl TimeColumn {
+    /// Column of times in seconds.
+    fn at(index: usize) -> Self {
+        Self::Column { index, scale: 1.0 }
+    }
+}
+
 impl ColumnLayout {
     /// Finds the clock and the channels, or takes the columns that the user names: time (`-` for
     /// none), voltage, current.
     ///
     /// # Errors
-    /// [`FormatError`] when a column that the user names is not there, or the heading does not fit the rows.
-    pub fn from_prelude(
-        prelude: &Prelude,
-        named: Option<&[ChannelRef; 3]>,
-    ) -> Result<Self, FormatError> {
+    /// [`FormatError`] when a column that the user names is not there or has two meanings, the times are in no unit of time, or the heading
+    /// does not fit the rows.
+    pub fn from_prelude(prelude: &Prelude, options: ReadOptions<'_>) -> Result<Self, FormatError> {
         check_waveform_type(prelude)?;
         let headings = headings(prelude);
-        let (time, columns) = match named {
+        let wrong = |what: String| FormatError::at_line(prelude.end.line(), what);
+        let (time, columns) = match options.columns {
             Some([time, v, i]) => {
-                let index = |column| find(prelude, &headings, column);
-                let time = match time {
-                    ChannelRef::Name(name) if name == "-" => TimeColumn::Missing,
-                    column => clock_at(&headings, index(column)?),
-                };
-                (time, vec![index(v)?, index(i)?])
+                let index = |column| find(&headings, column, prelude.width).map_err(wrong);
+                let clock = Some(time).filter(|t| !t.is_none_column());
+                let (clock, v, i) = (clock.map(index).transpose()?, index(v)?, index(i)?);
+                if let Some(twice) = [v, i].into_iter().find(|k| clock == Some(*k) || v == i) {
+                    let what = format!("column {} is named twice in --input columns", twice + 1);
+                    return Err(wrong(what));
+                }
+                let time = clock.map_or(TimeColumn::Missing, TimeColumn::at);
+                (time, vec![v, i])
             }
             None => {
                 let (time, others) = clock(prelude, &headings);
@@ -79,9 +97,21 @@ impl ColumnLayout {
                 (time, all.filter(channel).collect())
             }
         };
+        let time = match time {
+            _ if options.without_times => TimeColumn::Missing,
+            TimeColumn::Column { index, .. } => TimeColumn::Column {
+                index,
+                scale: headings[index].unit.seconds().map_err(|unit| {
+                    wrong(format!(
+                        "times in {unit}, which is no unit of time known here: give the sampling rate, as in --input rate=50M, and they are not read"
+                    ))
+                })?,
+            },
+            other => other,
+        };
         let channel = |k: &usize| FileChannel {
             name: headings[*k].name.clone(),
-            unit: headings[*k].unit,
+            unit: headings[*k].unit.clone(),
             full_scale: None,
         };
         Ok(Self {
@@ -130,36 +160,10 @@ fn check_waveform_type(prelude: &Prelude) -> Result<(), FormatError> {
     }
 }
 
-/// Index of a column specified by the user, with its unit or without: `coil_V` or `coil`.
-fn find(
-    prelude: &Prelude,
-    headings: &[Heading],
-    column: &ChannelRef,
-) -> Result<usize, FormatError> {
-    let texts = headings.iter().map(|h| h.text.trim());
-    let names = headings.iter().map(|h| h.name.as_str());
-    let index = column.find(texts).or_else(|| column.find(names));
-    let index = index.filter(|k| *k < prelude.width);
-    index.ok_or_else(|| {
-        let names = headings.iter().take(12).map(|h| format!("`{}`", h.name));
-        let names: Vec<_> = names.collect();
-        let what = format!("no column {column}; there are {}", names.join(", "));
-        FormatError::at_line(prelude.end.line(), what)
-    })
-}
-
-fn clock_at(headings: &[Heading], index: usize) -> TimeColumn {
-    let unit = headings.get(index).and_then(|h| h.unit);
-    TimeColumn::Column {
-        index,
-        scale: unit.map_or(1.0, |u| u.scale),
-    }
-}
-
 /// Returns the clock, and the columns that it occupies.
 fn clock(prelude: &Prelude, headings: &[Heading]) -> (TimeColumn, Vec<usize>) {
-    if let Some((t0_s, dt_s, columns)) = start_and_increment(prelude, headings) {
-        return (TimeColumn::Even { t0_s, dt_s }, columns);
+    if let Some(found) = start_and_increment(prelude, headings) {
+        return found;
     }
     // Numbers without a heading: the first of several columns is the time.
     let nameless = headings.iter().all(|h| h.name.is_empty());
@@ -167,7 +171,7 @@ fn clock(prelude: &Prelude, headings: &[Heading]) -> (TimeColumn, Vec<usize>) {
     let beside = prelude.beside.then_some(3);
     let by_heading = || headings.iter().position(Heading::is_time);
     if let Some(index) = beside.or_else(by_heading).or(first) {
-        return (clock_at(headings, index), vec![index]);
+        return (TimeColumn::at(index), vec![index]);
     }
     if let (Some(t0_s), Some(dt_s)) = (prelude.number(&["xorg"]), prelude.number(&["xinc"])) {
         return (TimeColumn::Even { t0_s, dt_s }, Vec::new());
@@ -176,8 +180,11 @@ fn clock(prelude: &Prelude, headings: &[Heading]) -> (TimeColumn, Vec<usize>) {
 }
 
 /// Parses Rigol's heading with the time of the first sample and the interval, either `Start,Increment` with the numbers below, or
-/// `t0 = -1e-3, tInc = 1e-6`. Returns them and the columns that are no channels.
-fn start_and_increment(prelude: &Prelude, headings: &[Heading]) -> Option<(f64, f64, Vec<usize>)> {
+/// `t0 = -1e-3, tInc = 1e-6`. Returns the clock and the columns that are no channels.
+fn start_and_increment(
+    prelude: &Prelude,
+    headings: &[Heading],
+) -> Option<(TimeColumn, Vec<usize>)> {
     let number = |text: &str| {
         prelude
             .syntax
@@ -191,17 +198,23 @@ fn start_and_increment(prelude: &Prelude, headings: &[Heading]) -> Option<(f64, 
     let assigned = |index: usize| number(headings[index].name.split_once('=')?.1);
     if let (Some(t0), Some(inc)) = (at("t0"), at("tinc")) {
         let dt_s = assigned(inc).filter(|dt| *dt > 0.0)?;
-        return Some((assigned(t0)?, dt_s, vec![t0, inc]));
+        let t0_s = assigned(t0)?;
+        return Some((TimeColumn::Even { t0_s, dt_s }, vec![t0, inc]));
     }
     let (Some(start), Some(increment)) = (at("start"), at("increment")) else {
         return None;
     };
     let values = prelude.rows.last()?;
     let dt_s = number(values.get(increment)?).filter(|dt| *dt > 0.0)?;
-    let counter = headings.iter().position(|h| h.name == "X");
-    let mut columns = vec![start, increment];
-    columns.extend(counter);
-    Some((number(values.get(start)?)?, dt_s, columns))
+    let t0_s = number(values.get(start)?)?;
+    // A row that is missing shows in the counter alone.
+    match headings.iter().position(|h| h.name == "X") {
+        Some(index) => Some((
+            TimeColumn::Counter { index, t0_s, dt_s },
+            vec![start, increment, index],
+        )),
+        None => Some((TimeColumn::Even { t0_s, dt_s }, vec![start, increment])),
+    }
 }
 
 /// Returns `true` if a column can be a channel: it has a name, or no column has one.
@@ -217,15 +230,8 @@ fn metadata(prelude: &Prelude, headings: &[Heading]) -> BTreeMap<String, String>
     let maker = maker(prelude, headings);
     let format = maker.map_or("CSV".to_owned(), |maker| format!("CSV, {maker}"));
     let mut all = BTreeMap::from([("format".to_owned(), format)]);
-    let stated = [
-        ("instrument", &["model", "model number"][..]),
-        ("probe_attenuation", &["probe attenuation", "probe atten"]),
-    ];
-    for (key, keys) in stated {
-        if let Some(value) = prelude.value(keys) {
-            all.insert(key.to_owned(), value.to_owned());
-        }
-    }
+    let instrument = prelude.value(&["model", "model number"]);
+    all.extend(instrument.map(|model| ("instrument".to_owned(), model.to_owned())));
     all
 }
 

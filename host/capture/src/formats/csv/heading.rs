@@ -1,7 +1,9 @@
 //! Names and units above the columns of a table.
 
 use super::prelude::Prelude;
+use crate::channels::{ChannelRef, quantity_of_name};
 use crate::error::FormatError;
+use crate::formats::stated_unit::StatedUnit;
 use crate::formats::unit::{ColumnQuantity, Unit};
 
 /// Heading of one column.
@@ -11,23 +13,23 @@ pub struct Heading {
     pub name: String,
     /// Text of the cell.
     pub text: String,
-    /// Unit; `None` if the file states none.
-    pub unit: Option<Unit>,
+    /// Unit that the file states.
+    pub unit: StatedUnit,
 }
 
 impl Heading {
     fn parse(text: &str) -> Self {
-        let (name, unit) = Unit::of_heading(text);
+        let (name, unit) = StatedUnit::of_heading(text);
         // Rigol's `CH1V`: the unit follows the number without a gap.
         let digit = |c: char| c.is_ascii_digit();
         let end = name.rfind(digit).map_or(0, |k| k + 1);
-        if unit.is_none() && name.starts_with("CH") && end > 0 && end < name.len() {
+        if unit == StatedUnit::Nothing && name.starts_with("CH") && end > 0 && end < name.len() {
             let (channel, tail) = name.split_at(end);
             if let Some(unit) = Unit::parse(tail) {
                 return Self {
                     name: channel.to_owned(),
                     text: text.to_owned(),
-                    unit: Some(unit),
+                    unit: StatedUnit::Known(unit),
                 };
             }
         }
@@ -40,19 +42,8 @@ impl Heading {
 
     /// Returns `true` if the column is the time.
     pub fn is_time(&self) -> bool {
-        const NAMES: [&str; 8] = [
-            "time",
-            "t",
-            "x",
-            "x-axis",
-            "second",
-            "timestamp",
-            "zeit",
-            "t_s",
-        ];
-        let of_unit = self
-            .unit
-            .is_some_and(|u| u.quantity == ColumnQuantity::Time);
+        const NAMES: [&str; 6] = ["time", "t", "x", "x-axis", "timestamp", "zeit"];
+        let of_unit = (self.unit.known()).is_some_and(|u| u.quantity == ColumnQuantity::Time);
         of_unit || NAMES.contains(&self.name.to_lowercase().as_str())
     }
 }
@@ -72,7 +63,7 @@ pub fn headings(prelude: &Prelude) -> Vec<Heading> {
                 Heading {
                     text: name.clone(),
                     name,
-                    unit: Unit::parse(unit),
+                    unit: StatedUnit::parse(unit),
                 }
             };
             last.iter().enumerate().map(named).collect()
@@ -103,8 +94,35 @@ pub fn check_width(prelude: &Prelude) -> Result<(), FormatError> {
     }
 }
 
+/// Index of a column specified by the user, with its unit or without: `coil_V` or `coil`. `width` is the number of columns.
+///
+/// # Errors
+/// The columns that there are.
+pub fn find(headings: &[Heading], column: &ChannelRef, width: usize) -> Result<usize, String> {
+    let texts = headings.iter().map(|h| h.text.trim());
+    let names = headings.iter().map(|h| h.name.as_str());
+    let index = column.find(texts).or_else(|| column.find(names));
+    index.filter(|k| *k < width).ok_or_else(|| {
+        let names = headings.iter().take(12).map(|h| format!("`{}`", h.name));
+        let names: Vec<_> = names.collect();
+        format!("no column {column}; there are {}", names.join(", "))
+    })
+}
+
+/// Returns `true` if a row names columns: two cells or more name a quantity or state a unit. Units under a key do not.
+pub fn is_names(row: &[String]) -> bool {
+    let says = |text: &&String| {
+        let heading = Heading::parse(text);
+        heading.is_time()
+            || heading.unit != StatedUnit::Nothing
+            || quantity_of_name(&heading.name).is_some()
+    };
+    let is_key = (row.first()).is_some_and(|key| key.trim_end_matches(':').ends_with("nits"));
+    !is_key && row.iter().filter(says).count() > 1
+}
+
 /// Returns `true` if a row holds units: its first cell is one or counts samples, and another is one.
-fn is_units(row: &[String]) -> bool {
+pub fn is_units(row: &[String]) -> bool {
     let unit = |text: &&String| Unit::parse(text).is_some() && text.len() > 1;
     let counts = |text: &&String| text.eq_ignore_ascii_case("sequence");
     let first = row.first().is_some_and(|f| unit(&f) || counts(&f));
@@ -122,7 +140,8 @@ fn from_keys(prelude: &Prelude, all: &mut [Heading]) {
     if let Some(heading) = all.get_mut(clock)
         && (heading.is_time() || prelude.beside)
     {
-        heading.unit = heading.unit.or_else(|| Unit::parse(horizontal?));
+        let stated = || StatedUnit::parse(horizontal.unwrap_or_default());
+        heading.unit = std::mem::take(&mut heading.unit).or_else(stated);
     }
     for (k, text) in vertical.iter().enumerate() {
         let (name, unit) = match text.split_once(':') {
@@ -134,7 +153,8 @@ fn from_keys(prelude: &Prelude, all: &mut [Heading]) {
             None => Some(first_channel + k),
         };
         if let Some(heading) = index.and_then(|index| all.get_mut(index)) {
-            heading.unit = heading.unit.or_else(|| Unit::parse(unit));
+            let stated = || StatedUnit::parse(unit);
+            heading.unit = std::mem::take(&mut heading.unit).or_else(stated);
         }
     }
     if prelude.beside

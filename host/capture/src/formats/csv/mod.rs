@@ -5,6 +5,7 @@
 //! file holds.
 
 pub mod dialect;
+pub mod first_row;
 pub mod heading;
 pub mod prelude;
 pub mod rows;
@@ -15,13 +16,12 @@ use std::io::{BufReader, Read, SeekFrom};
 use ihd_signal::TimeBase;
 
 use self::dialect::{ColumnLayout, TimeColumn};
-use self::prelude::Prelude;
 use self::rows::{MAX_LINE_BYTES, Rows, too_long};
 use super::input::ReadSeek;
-use super::time::{decimal_resolution, time_base};
+use super::time::{decimal_resolution, time_base, written_resolution};
 use super::{CaptureFile, FileChannel, FileSamples, ReadProgress};
-use crate::channels::ChannelRef;
 use crate::error::FormatError;
+use crate::options::ReadOptions;
 
 /// Rows after which the number of rows is estimated.
 const ESTIMATE_AFTER: usize = 1000;
@@ -39,14 +39,13 @@ pub struct CsvSource {
 }
 
 impl CsvSource {
-    /// Reads the prelude. `columns` (time, voltage, current; time `-` for none) override what is
-    /// detected: the source then has these two channels.
+    /// Reads the prelude. Columns of the options override what is detected: the source then has these two channels.
     ///
     /// # Errors
     /// [`FormatError`] when no row of numbers is found or a column is not there.
     pub fn open(
         mut file: impl ReadSeek + 'static,
-        columns: Option<&[ChannelRef; 3]>,
+        options: ReadOptions<'_>,
     ) -> Result<Self, FormatError> {
         let failed = |e: std::io::Error| FormatError::io(0, &e);
         let length = file.seek(SeekFrom::End(0)).map_err(failed)?;
@@ -58,8 +57,8 @@ impl CsvSource {
         if head.len() == MAX_LINE_BYTES && !has_lines {
             return Err(FormatError::at_line(1, too_long()));
         }
-        let prelude = Prelude::read(&head)?;
-        let layout = ColumnLayout::from_prelude(&prelude, columns)?;
+        let prelude = first_row::prelude(&head, options)?;
+        let layout = ColumnLayout::from_prelude(&prelude, options)?;
         file.seek(SeekFrom::Start(prelude.end.byte()))
             .map_err(failed)?;
         let source = BufReader::with_capacity(1 << 16, file);
@@ -74,6 +73,7 @@ impl CsvSource {
 
 /// Columns while they are being read.
 struct Columns {
+    /// Numbers of the clock's column, as written.
     stamps: Vec<f64>,
     values: Vec<Vec<f32>>,
     /// Most significant digits of a time. A program that leaves zeros at the end away writes most times with fewer.
@@ -82,6 +82,22 @@ struct Columns {
 }
 
 impl Columns {
+    /// Times of the rows from line `first` on, from stamps of a number and a unit, in seconds, each.
+    fn clock(
+        &mut self,
+        first: u64,
+        (t0_s, unit_s): (f64, f64),
+        resolution: f64,
+        interval_s: Option<f64>,
+    ) -> Result<TimeBase, FormatError> {
+        let mut stamps = std::mem::take(&mut self.stamps);
+        stamps.iter_mut().for_each(|t| *t = t0_s + *t * unit_s);
+        time_base(stamps, resolution * unit_s, interval_s).map_err(|e| {
+            // Empty lines between samples are not counted.
+            FormatError::at_line(first + e.sample() as u64, e.to_string())
+        })
+    }
+
     /// Makes room for `more` rows.
     fn reserve(&mut self, more: usize) {
         if !self.stamps.is_empty() {
@@ -106,19 +122,21 @@ impl CaptureFile for CsvSource {
         progress: ReadProgress<'_>,
     ) -> Result<FileSamples, FormatError> {
         let begin = self.rows.position();
-        let columns = self.columns(selected, progress)?;
+        let mut columns = self.columns(selected, progress)?;
         self.layout.check_rows(columns.rows, self.rows.position())?;
         let time = match self.layout.time {
             TimeColumn::Even { t0_s, dt_s } => Some(TimeBase::Even { t0_s, dt_s }),
             TimeColumn::Missing => None,
-            TimeColumn::Column { .. } => {
+            TimeColumn::Column { scale, .. } => {
+                let resolution = written_resolution(&columns.stamps, columns.digits);
                 let interval_s = self.layout.interval_s;
-                let resolution_s = decimal_resolution(&columns.stamps, columns.digits);
-                let base = time_base(columns.stamps, resolution_s, interval_s);
-                Some(base.map_err(|e| {
-                    // Empty lines between samples are not counted.
-                    FormatError::at_line(begin.line() + e.sample() as u64, e.to_string())
-                })?)
+                Some(columns.clock(begin.line(), (0.0, scale), resolution, interval_s)?)
+            }
+            TimeColumn::Counter { t0_s, dt_s, .. } => {
+                let decimal = decimal_resolution(&columns.stamps, columns.digits);
+                // Whole numbers are rounded only where they are written with fewer digits than they have.
+                let resolution = if decimal > 1.0 { decimal } else { 0.0 };
+                Some(columns.clock(begin.line(), (t0_s, dt_s), resolution, Some(dt_s))?)
             }
         };
         Ok(FileSamples {
@@ -137,7 +155,7 @@ impl CsvSource {
         let of_channel = |k: &usize| self.layout.columns.get(*k).copied();
         let picked: Vec<usize> = selected.iter().filter_map(of_channel).collect();
         let clock = match self.layout.time {
-            TimeColumn::Column { index, scale } => Some((index, scale)),
+            TimeColumn::Column { index, .. } | TimeColumn::Counter { index, .. } => Some(index),
             TimeColumn::Even { .. } | TimeColumn::Missing => None,
         };
         let begin = self.rows.position().byte();
@@ -149,9 +167,9 @@ impl CsvSource {
         };
         while let Some(row) = self.rows.next_row()? {
             row.check_width(self.layout.width)?;
-            if let Some((index, scale)) = clock {
+            if let Some(index) = clock {
                 let field = row.field(index)?;
-                columns.stamps.push(row.time(field)? * scale);
+                columns.stamps.push(row.time(field)?);
                 if columns.rows < ESTIMATE_AFTER || columns.rows.is_multiple_of(DIGITS_EVERY) {
                     columns.digits = columns.digits.max(rows::significant_digits(field));
                 }
@@ -180,9 +198,10 @@ mod tests {
     use std::io::Cursor;
 
     use super::*;
+    use crate::channels::ChannelRef;
 
     fn read(text: impl Into<Vec<u8>>) -> Result<FileSamples, FormatError> {
-        let mut source = CsvSource::open(Cursor::new(text.into()), None)?;
+        let mut source = CsvSource::open(Cursor::new(text.into()), ReadOptions::default())?;
         source.read(&[0, 1], &mut |_| ())
     }
 
@@ -231,7 +250,11 @@ mod tests {
             let why = read(text).unwrap_err();
             assert!(why.what.contains("--input columns=1,2,3"), "{why}");
             let columns = [1, 2, 3].map(ChannelRef::Number);
-            let source = CsvSource::open(Cursor::new(text), Some(&columns));
+            let options = ReadOptions {
+                columns: Some(&columns),
+                ..ReadOptions::default()
+            };
+            let source = CsvSource::open(Cursor::new(text), options);
             assert!(source.is_ok(), "{text}");
         }
         // An index without a name, as pandas writes it; empty columns; more names.
@@ -241,6 +264,55 @@ mod tests {
             "t,v,i,notes\n0,1,2\n1,3,4\n",
         ] {
             assert!(read(text).is_ok(), "{text}");
+        }
+    }
+
+    /// Numbers of the intervals between the first samples.
+    fn steps(text: &str) -> Result<TimeBase, FormatError> {
+        Ok(read(text)?.time.unwrap())
+    }
+
+    #[test]
+    fn a_row_missing_under_rigols_counter_is_a_gap() {
+        let head = "X,CH1,CH2,Start,Increment,\nSequence,Volt,Ampere,-1.0e-3,1.0e-6,\n";
+        let rows = |numbers: &[u32]| -> String {
+            numbers.iter().map(|x| format!("{x},1,2,,,\n")).collect()
+        };
+        let whole = steps(&format!("{head}{}", rows(&[0, 1, 2, 3]))).unwrap();
+        assert_eq!(
+            whole,
+            TimeBase::Even {
+                t0_s: -1e-3,
+                dt_s: 1e-6
+            }
+        );
+        let TimeBase::Stamps(t_s) = steps(&format!("{head}{}", rows(&[0, 1, 2, 5, 6]))).unwrap()
+        else {
+            panic!("a gap");
+        };
+        assert!((t_s[3] - t_s[2] - 3e-6).abs() < 1e-15, "{t_s:?}");
+        let why = steps(&format!("{head}{}", rows(&[0, 1, 0, 1]))).unwrap_err();
+        assert!(why.to_string().starts_with("line 5"), "{why}");
+    }
+
+    /// numpy.savetxt and pandas of a float32.
+    #[test]
+    fn times_of_single_precision_are_even() {
+        for decimals in [true, false] {
+            let row = |k: i32| {
+                let t = (-2e-3 + f64::from(k) * 1.2345678e-7) as f32;
+                let t = match decimals {
+                    true => format!("{t:.18e}"),
+                    false => t.to_string(),
+                };
+                format!("{t},1,2\n")
+            };
+            let text: String = (0..20_000).map(row).collect();
+            let time = steps(&format!("time_s,v_V,i_A\n{text}")).unwrap();
+            let TimeBase::Even { dt_s, .. } = time else {
+                panic!("{decimals}");
+            };
+            assert!((dt_s / 1.2345678e-7 - 1.0).abs() < 1e-6, "{dt_s}");
         }
     }
 

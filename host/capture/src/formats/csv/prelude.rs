@@ -2,7 +2,7 @@
 
 use csv::{ByteRecord, Position};
 
-use super::rows::{Rows, Syntax, text};
+use super::rows::{CsvRow, Rows, Syntax, text};
 use crate::error::FormatError;
 
 /// Limit of lines in a prelude.
@@ -18,6 +18,8 @@ pub struct Prelude {
     pub syntax: Syntax,
     /// Fields of each non-empty line, without quotes.
     pub rows: Vec<Vec<String>>,
+    /// Place of each of them.
+    pub places: Vec<Position>,
     /// For each row, set if it also has a sample, in columns four and five (Tektronix TDS, TPS).
     pub beside: bool,
     /// Fields of the first row of numbers.
@@ -28,12 +30,20 @@ pub struct Prelude {
     pub end: Position,
 }
 
+/// Lines after which no row of numbers follows.
+pub struct NoNumbers {
+    /// The lines.
+    pub prelude: Prelude,
+    /// Reason why they are no table.
+    pub error: FormatError,
+}
+
 impl Prelude {
     /// Reads the prelude from the beginning of a file.
     ///
     /// # Errors
-    /// [`FormatError`] when no row of numbers follows.
-    pub fn read(head: &[u8]) -> Result<Self, FormatError> {
+    /// The lines, when no row of numbers follows.
+    pub fn read(head: &[u8]) -> Result<Self, Box<NoNumbers>> {
         let syntax = Syntax::detect(head);
         let mut rows = Rows::new(
             Box::new(std::io::Cursor::new(head.to_vec())),
@@ -43,15 +53,20 @@ impl Prelude {
         let mut prelude = Self {
             syntax,
             rows: Vec::new(),
+            places: Vec::new(),
             beside: false,
             width: 0,
             filled: 0,
             end: Position::new(),
         };
         loop {
-            let Some(row) = rows.next_row()? else {
-                let what = prelude.why("no row of numbers: this is no table of samples");
-                return Err(FormatError::at_line(rows.position().line(), what));
+            let read = rows.next_row();
+            let Ok(Some(row)) = read else {
+                let why = || prelude.why("no row of numbers: this is no table of samples");
+                let error = read
+                    .err()
+                    .unwrap_or_else(|| FormatError::at_line(rows.position().line(), why()));
+                return Err(Box::new(NoNumbers { prelude, error }));
             };
             let record = row.record();
             prelude.beside |= prelude.rows.is_empty() && is_beside(record, syntax);
@@ -59,23 +74,33 @@ impl Prelude {
                 prelude.width = record.len();
                 let is_filled = |field: &[u8]| !field.trim_ascii().is_empty();
                 prelude.filled = record.iter().rposition(is_filled).map_or(0, |k| k + 1);
-                let mut end = record.position().cloned().unwrap_or_else(Position::new);
-                // Behind a CR the reader stands before its LF.
-                let after_cr = u64::from(row.line() > end.line());
-                end.set_byte(end.byte() + after_cr).set_line(row.line());
-                prelude.end = end;
+                prelude.end = place(row);
             }
             let enough = !prelude.beside || prelude.rows.len() == BESIDE_ROWS;
             if prelude.width > 0 && enough {
                 return Ok(prelude);
             }
             if prelude.rows.len() == LINES {
-                let what = format!("no row of numbers in the first {LINES} lines");
-                let what = prelude.why(&what);
-                return Err(FormatError::at_line(rows.position().line(), what));
+                let what = prelude.why(&format!("no row of numbers in the first {LINES} lines"));
+                let error = FormatError::at_line(rows.position().line(), what);
+                return Err(Box::new(NoNumbers { prelude, error }));
             }
             prelude.rows.push(record.iter().map(text).collect());
+            prelude.places.push(place(row));
         }
+    }
+
+    /// Lets the samples begin at row `first` of the prelude already.
+    pub fn end_at(&mut self, first: usize) {
+        let Some(end) = self.places.get(first).cloned() else {
+            return;
+        };
+        self.width = self.rows[first].len();
+        let is_filled = |field: &String| !field.is_empty();
+        self.filled = (self.rows[first].iter().rposition(is_filled)).map_or(0, |k| k + 1);
+        self.end = end;
+        self.rows.truncate(first);
+        self.places.truncate(first);
     }
 
     /// Reason why a file without a row of numbers is no table: `otherwise`, unless its last line is a row with blanks.
@@ -112,6 +137,19 @@ impl Prelude {
         let number = self.syntax.number(self.value(keys)?.as_bytes())?;
         number.is_finite().then_some(number)
     }
+}
+
+/// Place of a row in the file.
+fn place(row: CsvRow<'_>) -> Position {
+    let mut place = row
+        .record()
+        .position()
+        .cloned()
+        .unwrap_or_else(Position::new);
+    // Behind a CR the reader stands before its LF.
+    let after_cr = u64::from(row.line() > place.line());
+    place.set_byte(place.byte() + after_cr).set_line(row.line());
+    place
 }
 
 /// Returns `true` if a row has a key in its first column and a sample in the fourth and fifth.

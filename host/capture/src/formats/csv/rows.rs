@@ -84,7 +84,8 @@ impl Syntax {
     }
 }
 
-fn is_overflow(field: &[u8]) -> bool {
+/// Returns `true` if a field is the overflow mark of a scope, `∞`.
+pub fn is_overflow(field: &[u8]) -> bool {
     let sign = |c| matches!(c, '-' | '+' | '"');
     std::str::from_utf8(field).is_ok_and(|t| t.trim().trim_matches(sign) == "∞")
 }
