@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use ihd_capture::format;
 use ihd_signal::{Capture, TimeBase};
@@ -72,10 +72,13 @@ impl ConvertArgs {
             x.iter().fold((f32::INFINITY, f32::NEG_INFINITY), pair)
         };
         let (v, i) = (range(&capture.v_v), range(&capture.i_a));
-        let format = capture
-            .metadata
-            .get("format")
-            .map_or("MCAP", String::as_str);
+        let first = self.capture.paths().next().context("no file")?;
+        // An MCAP keeps what it was converted from, a reader of another format says more than its name.
+        let recognised = format::name(first)?;
+        let format = match recognised {
+            "MCAP" => recognised,
+            _ => (capture.metadata.get("format")).map_or(recognised, String::as_str),
+        };
         if json {
             let summary = serde_json::json!({
                 "in": self.capture.paths().collect::<Vec<_>>(),

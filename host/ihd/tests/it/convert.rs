@@ -60,6 +60,15 @@ fn every_format_that_is_written_is_read_back() {
     assert_eq!(report["samples"], 300);
     assert_eq!(report["format"], "Tektronix WFM 3");
     assert!((report["rate_hz"].as_f64().unwrap() / 2e6 - 1.0).abs() < 1e-9);
+    let again = converted(&[
+        first.to_str().unwrap(),
+        "-o",
+        folder.path().join("c.npz").to_str().unwrap(),
+    ]);
+    assert_eq!(
+        again["format"], "MCAP",
+        "of this file, not of the one before"
+    );
     let whole = samples(&first);
     for ending in ["csv", "npz", "mcap"] {
         let next = folder.path().join(format!("b.{ending}"));
@@ -90,6 +99,77 @@ fn flags_reach_the_capture() {
     // The current of ±30 A, in mA, doubled; the voltage of ±150 V and its third harmonic.
     assert!((v[1].as_f64().unwrap() - 60.0).abs() < 0.5, "{v}");
     assert!((i[1].as_f64().unwrap() - 135.0).abs() < 10.0, "{i}");
+}
+
+/// Counts as volt gave an R four times too large that passed the gate.
+#[test]
+fn a_unit_that_is_neither_volt_nor_ampere_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a.mcap");
+    let out = out.to_str().unwrap();
+    let file = |name: &str, content: Vec<u8>| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let table = |unit: &str| {
+        let rows: String = (0..100)
+            .map(|k| format!("{k}e-6,{},{}\n", k % 10, k % 7))
+            .collect();
+        let heading = format!("time_s,v ({unit}),i (A)\n");
+        file("a.csv", (heading + &rows).into_bytes())
+    };
+    for unit in ["counts", "div", "Vrms", "MV"] {
+        let table = table(unit);
+        let remedy = "--input units=V,A";
+        refused(&[&table, "-o", out], &["channel 1 `v`", unit, remedy]);
+        let report = converted(&[&table, "-o", out, "--input", "units=mV,A"]);
+        assert_eq!(report["v_V"][1], 0.009_f32);
+    }
+    for unit in ["KV", "mVolts", "V"] {
+        converted(&[&table(unit), "-o", out]);
+    }
+    converted(&[&table("coil"), "-o", out]);
+    let scope = std::fs::read(fixture("tek_isf_v.isf")).unwrap();
+    let current = fixture("tek_isf_i.isf");
+    let at = |part: &[u8]| scope.windows(part.len()).position(|w| w == part);
+    let at = at(b"\"V\"").expect("a unit");
+    for unit in ["W", "VV", "div"] {
+        let quoted = format!("\"{unit}\"").into_bytes();
+        let scope = file(
+            "a.isf",
+            [&scope[..at], &quoted[..], &scope[at + 3..]].concat(),
+        );
+        refused(&[&scope, &current, "-o", out], &[unit, "--input units=V,A"]);
+        let channels = "channels=1,2,units=V,A";
+        converted(&[&scope, &current, "-o", out, "--input", channels]);
+    }
+}
+
+#[test]
+fn a_stated_rate_replaces_times_that_do_not_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    let table = folder.path().join("a.csv");
+    let out = folder.path().join("a.mcap");
+    let (table, out) = (table.to_str().unwrap(), out.to_str().unwrap());
+    for (name, time) in [
+        (
+            "time_s",
+            (|k| format!("{:.4}", f64::from(k) * 2e-7)) as fn(i32) -> String,
+        ),
+        ("time_s", |k| (100 - k).to_string()),
+        ("Time (min)", |k| k.to_string()),
+        ("time", |k| format!("12:00:00.{k:06}")),
+    ] {
+        let rows: String = (0..100).map(|k| format!("{},{k},{k}\n", time(k))).collect();
+        std::fs::write(table, format!("{name},v_V,i_A\n{rows}")).unwrap();
+        refused(&[table, "-o", out], &["line"]);
+        let report = converted(&[table, "-o", out, "--input", "rate=1M"]);
+        assert_eq!(
+            (&report["samples"], &report["rate_hz"]),
+            (&100.into(), &1e6.into())
+        );
+    }
 }
 
 #[test]
