@@ -64,8 +64,6 @@ pub struct Health {
     /// Failure of the store, with its cause, its time, the records lost since then and advice; `null` while there is none.
     #[serde(default)]
     pub store_failure: Option<StoreFailure>,
-    /// `true` while devices are supervised.
-    pub supervisor: bool,
     /// `true` while all commands so far are in the audit or queued for it.
     pub audit: bool,
 }

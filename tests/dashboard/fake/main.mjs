@@ -92,7 +92,7 @@ async function answer(request, response) {
   if (parts[0] === 'page') return page(response, parts.slice(1).join('/'));
   if (url.pathname === '/healthz') {
     const failure = options.storeFailure ?? null;
-    return json(response, failure ? 503 : 200, { service: 'ihd', store: !failure, store_failure: failure, supervisor: true });
+    return json(response, failure ? 503 : 200, { service: 'ihd', store: !failure, store_failure: failure });
   }
   const body = await bodyOf(request);
   if (parts[0] === 'fake') return fake(response, parts[1], body);

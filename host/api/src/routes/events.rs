@@ -60,12 +60,7 @@ pub(super) async fn events(
         headers,
         _permit: permit,
     };
-    let greeting = if subscriber.headers.contains_key("last-event-id") {
-        "nothing is kept of what happened before; devices and results have it"
-    } else {
-        "watching"
-    };
-    tokio::spawn(subscriber.run(greeting));
+    tokio::spawn(subscriber.run());
     let heartbeat = KeepAlive::new().interval(HEARTBEAT).text("");
     Ok(Sse::new(ReceiverStream::new(rx)).keep_alive(heartbeat))
 }
@@ -105,10 +100,10 @@ struct Subscriber {
 
 impl Subscriber {
     /// Sends events until the client disconnects, its session is closed or the server ends. Watching is use of the session.
-    async fn run(mut self, greeting: &str) {
+    async fn run(mut self) {
         if self
             .tx
-            .send(Ok(Event::default().comment(greeting)))
+            .send(Ok(Event::default().comment("watching")))
             .await
             .is_err()
         {

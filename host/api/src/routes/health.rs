@@ -38,8 +38,6 @@ impl HealthCache {
             service: "ihd".into(),
             store: store_failure.is_none(),
             store_failure,
-            // Its tasks run on the threads that serve this request.
-            supervisor: true,
             audit: figures.audit_is_healthy,
         };
         *cached = Some((Instant::now(), health.clone()));
@@ -52,7 +50,7 @@ impl HealthCache {
     responses((status = 200, body = Health), (status = 503, body = Health)))]
 pub(super) async fn healthz(State(app): State<Arc<App>>) -> (StatusCode, Json<Health>) {
     let health = app.health.health(&app.daemon).await;
-    let status = if health.store && health.supervisor {
+    let status = if health.store {
         StatusCode::OK
     } else {
         StatusCode::SERVICE_UNAVAILABLE

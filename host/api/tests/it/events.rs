@@ -1,12 +1,9 @@
 //! Events arrive; a slow client is sent the number of missed events.
 
-use std::io::{Read, Write};
-
 use ihd_api::ApiClient;
 use ihd_api::client::events::{Events, StreamItem};
 use ihd_model::EventKind;
 
-use crate::http::connect;
 use crate::rig::{NAME, OTHER, Running};
 
 fn client(server: &Running) -> ApiClient {
@@ -99,21 +96,4 @@ fn the_end_of_the_server_ends_the_events_at_once() {
     // At once: its clock is paused.
     server.stop();
     assert!(events.next().is_none());
-}
-
-#[test]
-fn who_comes_back_is_told_that_nothing_was_kept() {
-    let server = Running::start();
-    let mut stream = connect(server.address);
-    stream
-        .write_all(b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\nLast-Event-ID: 7\r\n\r\n")
-        .unwrap();
-    let mut text = String::new();
-    let mut buffer = [0; 1024];
-    while !text.contains("nothing is kept") {
-        let n = stream.read(&mut buffer).unwrap();
-        assert!(n > 0, "{text}");
-        text += std::str::from_utf8(&buffer[..n]).unwrap();
-    }
-    assert!(text.contains("text/event-stream"), "{text}");
 }

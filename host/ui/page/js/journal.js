@@ -30,7 +30,7 @@ export function isAlarm(entry) {
 }
 
 /**
- * A notice of the event stream as an entry, in the words in which the daemon keeps it (host/daemon/src/journalist.rs);
+ * A notice of the event stream as an entry, in the words in which the daemon keeps it (host/daemon/src/event_log.rs);
  * null for what comes too often to be told.
  * @param {any} notice
  * @returns {Entry | null}

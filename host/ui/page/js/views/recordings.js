@@ -130,9 +130,7 @@ class RecordingsView {
     const report = this.context.fleet.reports.get(this.device);
     this.heard_ms = performance.now();
     const before = this.now;
-    // A daemon of before triggers tells the file alone.
-    const named = report?.recording ? { settings: { trigger: { on: "now" }, pre_trigger_s: 0, duration_s: null }, file: report.recording, since_s: NaN } : null;
-    this.now = report?.recording_now ?? named;
+    this.now = report?.recording_now ?? null;
     this.connected = report !== undefined && report.state !== "searching" && report.state !== "incompatible";
     if ((before === null) !== (this.now === null) || before?.file !== this.now?.file) this.files.load();
     this.changed();
