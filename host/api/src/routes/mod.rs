@@ -28,6 +28,7 @@ use ihd_daemon::Daemon;
 use tokio::sync::{Semaphore, watch};
 use tower_http::csrf::CsrfLayer;
 use utoipa::OpenApi;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
@@ -110,7 +111,18 @@ pub(crate) fn described() -> (Router<Arc<App>>, utoipa::openapi::OpenApi) {
     // The derive macro takes contact from the crate's authors.
     openapi.info.contact = None;
     common_responses::add(&mut openapi);
+    add_security(&mut openapi);
     (router, openapi)
+}
+
+/// Describes the token, which a daemon without a token file does not need.
+fn add_security(openapi: &mut utoipa::openapi::OpenApi) {
+    const TOKEN: &str = "token";
+    let bearer = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+    let components = openapi.components.get_or_insert_default();
+    components.add_security_scheme(TOKEN, SecurityScheme::Http(bearer));
+    let needed = SecurityRequirement::new(TOKEN, [""; 0]);
+    openapi.security = Some(vec![SecurityRequirement::default(), needed]);
 }
 
 /// Returns the OpenAPI description of this API.

@@ -69,6 +69,17 @@ fn the_routes_are_those_that_were_promised() {
     assert_eq!(lines, expected);
 }
 
+#[test]
+fn a_client_made_from_the_document_knows_how_to_show_its_token() {
+    let document = document();
+    let scheme = &document["components"]["securitySchemes"]["token"];
+    assert_eq!(
+        (&scheme["type"], &scheme["scheme"]),
+        (&"http".into(), &"bearer".into())
+    );
+    assert_eq!(document["security"], serde_json::json!([{}, {"token": []}]));
+}
+
 /// Calls `see` for every object of a document.
 fn walk<'a>(value: &'a Value, see: &mut impl FnMut(&'a serde_json::Map<String, Value>)) {
     match value {
