@@ -105,6 +105,17 @@ fn ln_of(load: Load) -> (f64, f64) {
     (load.r_ohm.max(1e-6).ln(), load.l_h.max(1e-9).ln())
 }
 
+/// Logarithm of the evidence of data that deviate from their expectation by `left`, up to a constant, and covariance⁻¹ · `left`.
+pub(crate) fn log_evidence(
+    covariance: &Cholesky<f64, Dyn>,
+    left: &DVector<f64>,
+) -> (f64, DVector<f64>) {
+    let weights = covariance.solve(left);
+    let factor = covariance.l_dirty().diagonal();
+    let half_ln_determinant: f64 = factor.iter().map(|x| x.ln()).sum();
+    (-0.5 * left.dot(&weights) - half_ln_determinant, weights)
+}
+
 /// Covariance of measured data around the physics: errors of measurement, the level of each curve, what all have in common, and
 /// the misfit of deviations `tau`.
 pub(crate) fn covariance(data: &[Datum], tau: [f64; 2]) -> DMatrix<f64> {

@@ -5,7 +5,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-use crate::fit::{Datum, Heat, Linearised, covariance, measured};
+use crate::fit::{Datum, Heat, Linearised, covariance, log_evidence, measured};
 use crate::misfit::MapPoint;
 use crate::parameters::{self, COUNT, Prior};
 use crate::pot_fit::{PotFit, fit_pot};
@@ -61,13 +61,12 @@ impl Posterior {
         // The model is linear in the numbers: at the prior's mean it would give `predicted − slopes · steps`.
         let expected = ln - &slopes * free(&fit);
         let left = measured(&data) - expected;
-        let weights = factor.solve(&left);
-        let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
+        let (evidence, weights) = log_evidence(&factor, &left);
         Some(Self {
             fit,
             data,
             slopes,
-            evidence: -0.5 * left.dot(&weights) - determinant,
+            evidence,
             factor,
             weights,
         })

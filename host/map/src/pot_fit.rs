@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::PotModel;
 use crate::fit::{
-    Datum, Descent, Linearised, MAX_STEPS, covariance, fit, fit_any, fit_off_centre, measured,
+    Datum, Descent, Linearised, MAX_STEPS, covariance, fit, fit_any, fit_off_centre, log_evidence,
+    measured,
 };
 use crate::parameters::{self, CENTRED, COUNT, PotSpread, Prior, Vector};
 
@@ -118,8 +119,7 @@ fn best_misfit(data: &[Datum], fitted: &Descent, begin: [f64; 2]) -> Option<[f64
     let left = measured(data) - (ln - slopes * steps);
     let evidence = |tau: [f64; 2]| {
         let factor = (covariance(data, tau) + &numbers).cholesky()?;
-        let determinant: f64 = factor.l_dirty().diagonal().iter().map(|x| x.ln()).sum();
-        Some(-0.5 * left.dot(&factor.solve(&left)) - determinant)
+        Some(log_evidence(&factor, &left).0)
     };
     let mut tau = begin;
     for _ in 0..2 {
