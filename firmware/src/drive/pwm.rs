@@ -2,7 +2,7 @@
 //!
 //! One tick is 1/8 of a cycle of 170 MHz (HRTIM prescaler 2, 735 ps). The sampling period is 3·m
 //! ticks and the switching period 61·m, so 61 samples span exactly three periods whatever m is.
-//! The price is a grid of frequencies, 55 Hz wide at 34 kHz and 286 Hz at 80 kHz: a requested
+//! The price is a grid of frequencies, 52 Hz wide at 34 kHz and 286 Hz at 80 kHz: a requested
 //! frequency becomes the nearest of the grid, and control, estimator and telemetry use that one, on every
 //! board, the simulated one included. Only replay has other frequencies: those of the recording.
 

@@ -2,7 +2,7 @@
 //!
 //! | LED | meaning |
 //! |---|---|
-//! | a flash every 2 s | idle, waiting for a power request |
+//! | a flash every 2 s | idle, or waiting for a pot, with probes |
 //! | lit | probing or heating |
 //! | n flashes, a pause | fault n |
 //! | n flashes, or a flicker, and the host gets no answer | the program ended too often in a row and stays so (`crash.rs`); fault n was active before, or none |

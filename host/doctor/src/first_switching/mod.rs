@@ -17,7 +17,7 @@ use crate::Check;
 use crate::board::{bus_volt, is_off};
 use crate::check_session::CheckSession;
 
-/// Requested power in watt. The highest frequency, which is harmless with any load, gives more; hence bursts at that frequency.
+/// Requested power in watt. The highest frequency gives more; hence bursts, which begin there and go down in frequency.
 const POWER_W: u16 = 1;
 
 /// Range of bus voltages for this test, in volt. Above 60 V it is dangerous to touch; below 25 V there is no supply.
