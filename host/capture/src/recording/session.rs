@@ -106,7 +106,6 @@ impl RecordingSession {
         state.device = Some((hello.clone(), front_end.clone()));
         state.connection += 1;
         let connection = state.connection;
-        let mut status = None;
         let phase = std::mem::take(&mut state.phase);
         if let Phase::Recording(mut recording) = phase {
             let passed = recording.began.elapsed();
@@ -118,14 +117,11 @@ impl RecordingSession {
             recording.last_data = Instant::now();
             recording.part += 1;
             let cause = format!("goes on in its file {}: the link is back", recording.part);
-            status = Some(self.0.begin_file(&mut state, recording, at, &cause));
+            self.0.begin_file(&mut state, recording, at, &cause);
         } else {
             state.phase = phase;
         }
         drop(state);
-        if let Some(status) = status {
-            (self.0.publish)(status);
-        }
         RecordingSink {
             shared: Arc::clone(&self.0),
             connection,
@@ -204,13 +200,10 @@ impl RecordingSession {
             _ => None,
         };
         drop(state);
-        let (file, failed) = (status.file.clone(), status.phase == RecordingPhase::Failed);
-        let text = status.text.clone();
-        (self.0.publish)(status);
-        match failed {
-            true => Err(text),
+        match status.phase == RecordingPhase::Failed {
+            true => Err(status.text),
             false => Ok(StartedRecording {
-                file,
+                file: status.file,
                 text: "recording".to_owned(),
                 pending,
             }),

@@ -17,7 +17,7 @@ use super::writer::{FileStart, FreeBytes, RecordingWriter};
 /// Function that names the next file; the number is 1 for the first one of a recording.
 type Name = dyn Fn(u32) -> PathBuf + Send + Sync;
 
-/// Function that publishes a status, on any thread; must not block.
+/// Function that publishes a status, on any thread; must not block, nor call the session.
 type Publish = dyn Fn(RecordingStatus) + Send + Sync;
 
 /// Differences between a daemon's recording, which is the default, and that of a command which owns the link.
@@ -63,8 +63,21 @@ impl Shared {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Begins the recording's next file at `at`. Returns the status to be published.
+    /// Begins the recording's next file at `at`. Returns the status, which is published while the state is locked: an early end of the
+    /// file comes after it.
     pub fn begin_file(
+        self: &Arc<Self>,
+        state: &mut SessionState,
+        recording: Box<OngoingRecording>,
+        at: Duration,
+        cause: &str,
+    ) -> RecordingStatus {
+        let status = self.open_file(state, recording, at, cause);
+        (self.publish)(status.clone());
+        status
+    }
+
+    fn open_file(
         self: &Arc<Self>,
         state: &mut SessionState,
         mut recording: Box<OngoingRecording>,
@@ -147,20 +160,16 @@ impl Shared {
         };
         state.write_chunk(&chunk, !self.options.ends_by_owner);
         state.remember(chunk);
-        let mut status = None;
         if from_device && let Some((settings, cause)) = state.check_trigger(bytes) {
             let recording = OngoingRecording::new(settings, at, &cause);
             let cause = format!("begun by {cause}");
-            status = Some(self.begin_file(&mut state, recording, at, &cause));
+            self.begin_file(&mut state, recording, at, &cause);
         }
         let written = match &state.phase {
             Phase::Recording(r) if self.options.simulated_clock => r.pending(),
             _ => None,
         };
         drop(state);
-        if let Some(status) = status {
-            (self.publish)(status);
-        }
         if let Some(written) = written {
             written.wait_written();
         }
