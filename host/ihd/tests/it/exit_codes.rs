@@ -347,7 +347,9 @@ fn control_characters_of_a_file_are_escaped() {
         capture.metadata.insert(key.into(), format!("x{ESCAPES}"));
     }
     ihd_capture::mcap::write(&capture, &dir.join("b.mcap")).unwrap();
-    let mut heading = format!("time_s,one{ESCAPES},two{ESCAPES}\n");
+    // A control character of one byte makes the file binary.
+    let escapes = "\u{9b}31mowned";
+    let mut heading = format!("time_s,one{escapes},two{escapes}\n");
     for k in 0..1000 {
         heading += &format!("{},{},{}\n", f64::from(k) * 1e-6, k % 20, k % 7);
     }
