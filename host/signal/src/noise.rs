@@ -44,6 +44,11 @@ pub fn mean_square(x: &[f64]) -> f64 {
     x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64
 }
 
+/// Root of the [mean square](mean_square).
+pub fn rms(x: &[f64]) -> f64 {
+    mean_square(x).sqrt()
+}
+
 /// Standard deviation of one sample's white noise; zero if it could not be measured.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
 pub struct WhiteNoise {

@@ -2,7 +2,7 @@
 //! (section V.A).
 
 use ihd_signal::Segment;
-use ihd_signal::noise::mean_square;
+use ihd_signal::noise::rms;
 use ihd_signal::truth::PeriodTruth;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -73,7 +73,6 @@ impl Trial {
         let Some(snr_db) = snr_db else {
             return self.clean.clone();
         };
-        let rms = |x: &[f64]| mean_square(x).sqrt();
         let noise = ConverterNoise::from_snr_db(snr_db, rms(&self.clean.v_v), rms(&self.clean.i_a));
         self.with_noise(noise, seed)
     }

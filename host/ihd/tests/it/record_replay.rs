@@ -88,7 +88,7 @@ fn a_recording_replays_identically() {
     );
 }
 
-/// Of 4 ms of a scope, without a half-cycle, not even a window was compared, and the result was "identical, bit for bit".
+/// Regression test: 4 ms of a scope hold no half-cycle, and the result was "identical, bit for bit" with nothing compared.
 #[test]
 fn a_replay_without_a_half_cycle_says_that_none_was_compared() {
     let dir = tempfile::tempdir().unwrap();

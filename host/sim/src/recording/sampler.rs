@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
-use ihd_signal::noise::mean_square;
+use ihd_signal::noise::rms;
 use ihd_signal::quantise::code;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -158,7 +158,6 @@ pub fn convert(
 ) -> (Vec<i16>, Vec<i16>) {
     let n = v_v.len().min(i_a.len());
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let rms = |x: &[f64]| mean_square(x).sqrt();
     let noise = s.snr_db.map_or(ConverterNoise::default(), |snr| {
         ConverterNoise::from_snr_db(snr, rms(&v_v[..n]), rms(&i_a[..n]))
     });

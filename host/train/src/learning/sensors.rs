@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use ihd_shared::hob::RESONANCE_CAPACITANCE_NF;
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
-use ihd_signal::noise::{WhiteNoise, mean_square};
+use ihd_signal::noise::{WhiteNoise, rms};
 use ihd_signal::{Remark, Segment, Severity};
 use ihd_survey::calibration::blind::{
     BRIDGE_R_MAX_OHM, BlindError, Correction, FittedValue, estimate_segment,
@@ -252,7 +252,6 @@ impl Sensors {
 
 /// Returns white noise over rms of the noisier channel.
 fn noisiest(segment: &Segment) -> f64 {
-    let rms = |x: &[f64]| mean_square(x).sqrt();
     let noise = WhiteNoise::measure(segment);
     f64::max(noise.v_v / rms(&segment.v_v), noise.i_a / rms(&segment.i_a))
 }

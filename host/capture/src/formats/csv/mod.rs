@@ -267,8 +267,8 @@ mod tests {
         }
     }
 
-    /// Numbers of the intervals between the first samples.
-    fn steps(text: &str) -> Result<TimeBase, FormatError> {
+    /// Times of a table.
+    fn times(text: &str) -> Result<TimeBase, FormatError> {
         Ok(read(text)?.time.unwrap())
     }
 
@@ -278,7 +278,7 @@ mod tests {
         let rows = |numbers: &[u32]| -> String {
             numbers.iter().map(|x| format!("{x},1,2,,,\n")).collect()
         };
-        let whole = steps(&format!("{head}{}", rows(&[0, 1, 2, 3]))).unwrap();
+        let whole = times(&format!("{head}{}", rows(&[0, 1, 2, 3]))).unwrap();
         assert_eq!(
             whole,
             TimeBase::Even {
@@ -286,12 +286,12 @@ mod tests {
                 dt_s: 1e-6
             }
         );
-        let TimeBase::Stamps(t_s) = steps(&format!("{head}{}", rows(&[0, 1, 2, 5, 6]))).unwrap()
+        let TimeBase::Stamps(t_s) = times(&format!("{head}{}", rows(&[0, 1, 2, 5, 6]))).unwrap()
         else {
             panic!("a gap");
         };
         assert!((t_s[3] - t_s[2] - 3e-6).abs() < 1e-15, "{t_s:?}");
-        let why = steps(&format!("{head}{}", rows(&[0, 1, 0, 1]))).unwrap_err();
+        let why = times(&format!("{head}{}", rows(&[0, 1, 0, 1]))).unwrap_err();
         assert!(why.to_string().starts_with("line 5"), "{why}");
     }
 
@@ -308,7 +308,7 @@ mod tests {
                 format!("{t},1,2\n")
             };
             let text: String = (0..20_000).map(row).collect();
-            let time = steps(&format!("time_s,v_V,i_A\n{text}")).unwrap();
+            let time = times(&format!("time_s,v_V,i_A\n{text}")).unwrap();
             let TimeBase::Even { dt_s, .. } = time else {
                 panic!("{decimals}");
             };

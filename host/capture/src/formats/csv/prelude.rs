@@ -72,8 +72,7 @@ impl Prelude {
             prelude.beside |= prelude.rows.is_empty() && is_beside(record, syntax);
             if prelude.width == 0 && (prelude.beside || syntax.is_numbers(record)) {
                 prelude.width = record.len();
-                let is_filled = |field: &[u8]| !field.trim_ascii().is_empty();
-                prelude.filled = record.iter().rposition(is_filled).map_or(0, |k| k + 1);
+                prelude.filled = filled(record.iter().map(|field| !field.trim_ascii().is_empty()));
                 prelude.end = place(row);
             }
             let enough = !prelude.beside || prelude.rows.len() == BESIDE_ROWS;
@@ -96,8 +95,7 @@ impl Prelude {
             return;
         };
         self.width = self.rows[first].len();
-        let is_filled = |field: &String| !field.is_empty();
-        self.filled = (self.rows[first].iter().rposition(is_filled)).map_or(0, |k| k + 1);
+        self.filled = filled(self.rows[first].iter().map(|field| !field.is_empty()));
         self.end = end;
         self.rows.truncate(first);
         self.places.truncate(first);
@@ -137,6 +135,11 @@ impl Prelude {
         let number = self.syntax.number(self.value(keys)?.as_bytes())?;
         number.is_finite().then_some(number)
     }
+}
+
+/// Number of fields without empty ones at the end, from which of them are filled.
+fn filled(mut are_filled: impl DoubleEndedIterator<Item = bool> + ExactSizeIterator) -> usize {
+    are_filled.rposition(|is| is).map_or(0, |k| k + 1)
 }
 
 /// Place of a row in the file.

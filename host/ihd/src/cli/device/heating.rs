@@ -62,8 +62,7 @@ struct HeatingSummary {
 const SHOWN_WITHIN: Duration = Duration::from_secs(2);
 
 /// Heats with one power until Ctrl-C or the end of the time.
-pub(super) fn power(hob: &mut Hob, power_w: u16, for_s: Option<f64>, json: bool) -> Result<()> {
-    let time = for_s.map(Duration::from_secs_f64);
+pub(super) fn power(hob: &mut Hob, power_w: u16, time: Option<Duration>, json: bool) -> Result<()> {
     let command = Command::Power { power_w };
     let mut end = |elapsed: Duration, hob: &mut Hob, report: &DeviceReport| {
         if elapsed > SHOWN_WITHIN && asked_w(hob, report) == 0 {

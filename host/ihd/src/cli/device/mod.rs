@@ -17,7 +17,7 @@ use ihd_daemon::config::DaemonConfig;
 use ihd_model::Command;
 
 use super::global::Global;
-use super::simulate::quantity::{power_w, time_s};
+use super::simulate::quantity::{duration, power_w};
 use super::{configured, output};
 pub use heating::DoesNotHeat;
 pub(in crate::cli) use heating::RENEW_PERIOD;
@@ -72,8 +72,8 @@ enum Action {
         #[arg(value_name = "W,W,…", value_delimiter = ',', required = true, value_parser = power_w)]
         powers_w: Vec<u16>,
         /// End after this long, in s
-        #[arg(long = "for", value_name = "S", value_parser = time_s, conflicts_with = "windows")]
-        for_s: Option<f64>,
+        #[arg(long = "for", value_name = "S", value_parser = duration, conflicts_with = "windows")]
+        for_time: Option<Duration>,
         /// End a single power, too, once some windows of it have come
         #[arg(long)]
         windows: bool,
@@ -137,13 +137,13 @@ impl DeviceArgs {
             (
                 Action::Power {
                     powers_w,
-                    for_s,
+                    for_time,
                     windows,
                     ..
                 },
                 None,
             ) => match powers_w.as_slice() {
-                [power_w] if !windows => heating::power(&mut hob, *power_w, *for_s, global.json),
+                [power_w] if !windows => heating::power(&mut hob, *power_w, *for_time, global.json),
                 several => heating::sweep(&mut hob, several, global.json),
             },
             (Action::Lookup { .. }, None) => lookup::show(&mut hob, global.json),
@@ -160,14 +160,14 @@ impl Action {
     fn single_command(&self) -> Result<Option<Command>> {
         Ok(match self {
             Self::Power {
-                powers_w, for_s, ..
+                powers_w, for_time, ..
             } => {
                 ensure_usage!(
-                    for_s.is_none_or(|s| s > 0.0 && Duration::try_from_secs_f64(s).is_ok()),
-                    "--for must be more than 0 s, and a time that a clock can count"
+                    for_time.is_none_or(|time| !time.is_zero()),
+                    "--for must be more than 0 s"
                 );
                 ensure_usage!(
-                    for_s.is_none() || powers_w.len() == 1,
+                    for_time.is_none() || powers_w.len() == 1,
                     "--for goes with one power: several end after their windows"
                 );
                 None

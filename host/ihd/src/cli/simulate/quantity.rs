@@ -1,5 +1,7 @@
 //! Numbers with SI prefixes on the command line: `45k`, `50M`, `20ms`, `0.2us`.
 
+use std::time::Duration;
+
 use ihd_shared::hob::REQUESTED_POWER_MAX_W;
 
 /// Error for a text that is no number.
@@ -38,6 +40,11 @@ pub fn time_s(text: &str) -> Result<f64, NotANumber> {
     is_time
         .then_some(scaled.value)
         .ok_or_else(|| NotANumber::Time(text.to_owned()))
+}
+
+/// Parses a time that a clock can count, as [`time_s`] does.
+pub fn duration(text: &str) -> Result<Duration, NotANumber> {
+    Duration::try_from_secs_f64(time_s(text)?).map_err(|_| NotANumber::Time(text.to_owned()))
 }
 
 fn parsed(text: &str) -> Result<Scaled<'_>, NotANumber> {
@@ -135,6 +142,10 @@ mod tests {
         }
         for text in ["5m", "5k", "5Hz", "5mV", "s"] {
             assert!(time_s(text).is_err(), "{text}");
+        }
+        assert_eq!(duration("20ms"), Ok(Duration::from_millis(20)));
+        for text in ["1e300", "-1"] {
+            assert!(duration(text).is_err(), "{text}");
         }
     }
 
