@@ -14,7 +14,7 @@ use ihd_sim::recording::settings::LoadKind;
 use ihd_sim::trial::Trial;
 use serde::Serialize;
 
-use super::parallel::{WorkerLost, in_parallel};
+use super::parallel::in_parallel;
 
 /// Switching frequencies of the paper's tables, in hertz.
 pub const F_SW_HZ: [f64; 4] = [45e3, 50e3, 60e3, 70e3];
@@ -97,17 +97,6 @@ pub struct EstimatorsCell {
     pub weighted: RlErrors,
 }
 
-/// Error of the study.
-#[derive(Debug, thiserror::Error)]
-pub enum EstimatorsStudyError {
-    /// The simulator reported an error.
-    #[error(transparent)]
-    Simulation(#[from] InverterError),
-    /// A worker ended without its results.
-    #[error(transparent)]
-    Workers(#[from] WorkerLost),
-}
-
 /// Operating point, which is simulated once.
 struct Point {
     trial: Trial,
@@ -139,11 +128,11 @@ type Run = Vec<(
 /// all captures.
 ///
 /// # Errors
-/// [`EstimatorsStudyError`].
+/// If a capture cannot be simulated.
 pub fn study(
     plan: &EstimatorsPlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<EstimatorsCell>, EstimatorsStudyError> {
+) -> Result<Vec<EstimatorsCell>, InverterError> {
     let loads: &[LoadKind] = if plan.field {
         &[LoadKind::Behavioural, LoadKind::Field]
     } else {
@@ -165,7 +154,7 @@ pub fn study(
                 let run = run_all(plan, &point, *snr_db, *seed);
                 progress(done.fetch_add(1, Ordering::Relaxed) + 1, total);
                 run
-            })?;
+            });
             for snr_db in SNR_DB {
                 let of_snr = jobs.iter().zip(&runs).filter(|(job, _)| job.0 == snr_db);
                 let of_snr: Vec<&Run> = of_snr.map(|(_, run)| run).collect();

@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::case::{CaptureGroup, Case};
 use super::cases::all;
 use super::score::{CaseTruth, ResultJudgement, StretchErrors, errors};
-use crate::parallel::{WorkerLost, in_parallel};
+use crate::parallel::in_parallel;
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,20 +75,14 @@ pub struct HostileRun {
     pub elapsed_s: f64,
 }
 
-/// Error of the study.
+/// Error of the simulator for a case.
 #[derive(Debug, thiserror::Error)]
-pub enum HostileError {
-    /// The simulator reported an error for a case.
-    #[error("{case}: {source}")]
-    Simulation {
-        /// Name of the case.
-        case: String,
-        /// Error.
-        source: InverterError,
-    },
-    /// A worker ended without its results.
-    #[error(transparent)]
-    Workers(#[from] WorkerLost),
+#[error("{case}: {source}")]
+pub struct HostileError {
+    /// Name of the case.
+    case: String,
+    /// Error.
+    source: InverterError,
 }
 
 /// Runs the plan on all cores; the result does not depend on their number. `progress` is called with the numbers of finished and of
@@ -106,10 +100,10 @@ pub fn study(
         let runs = run_case(plan, case);
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, cases.len());
         runs
-    })?;
+    });
     let mut runs = Vec::new();
     for (case, result) in cases.iter().zip(results) {
-        runs.extend(result.map_err(|source| HostileError::Simulation {
+        runs.extend(result.map_err(|source| HostileError {
             case: case.name.clone(),
             source,
         })?);

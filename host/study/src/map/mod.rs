@@ -16,7 +16,7 @@ use ihd_train::lookup::{BuiltLookup, JudgedCell, LookupAccuracy, judge_cells};
 use serde::Serialize;
 
 use self::places::PotPlacement;
-use super::parallel::{WorkerLost, in_parallel};
+use super::parallel::in_parallel;
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,20 +78,14 @@ pub struct MapRun {
     pub learned: Option<LookupJudgement>,
 }
 
-/// Error of the study.
+/// Error of the simulator for a pot.
 #[derive(Debug, thiserror::Error)]
-pub enum MapStudyError {
-    /// The simulator reported an error for a pot.
-    #[error("{pot}: {source}")]
-    Simulation {
-        /// Name of the pot.
-        pot: String,
-        /// Error.
-        source: InverterError,
-    },
-    /// A worker ended without its results.
-    #[error(transparent)]
-    Workers(#[from] WorkerLost),
+#[error("{pot}: {source}")]
+pub struct MapStudyError {
+    /// Name of the pot.
+    pot: String,
+    /// Error.
+    source: InverterError,
 }
 
 impl LookupJudgement {
@@ -132,10 +126,10 @@ pub fn study(
         let runs = teach::runs(plan, pot, *perturbation);
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, jobs.len());
         runs
-    })?;
+    });
     let mut runs = Vec::new();
     for ((pot, _), result) in jobs.iter().zip(results) {
-        runs.extend(result.map_err(|source| MapStudyError::Simulation {
+        runs.extend(result.map_err(|source| MapStudyError {
             pot: pot.name.clone(),
             source,
         })?);

@@ -24,7 +24,7 @@ use ihd_sim::trial::Trial;
 use serde::{Deserialize, Serialize};
 
 pub use self::job::{Contender, PaperJob};
-use crate::parallel::{WorkerLost, in_parallel};
+use crate::parallel::in_parallel;
 use ihd_plot::FigureError;
 
 /// One entry of a loss curve.
@@ -145,9 +145,6 @@ pub enum PaperStudyError {
     /// A figure cannot be drawn.
     #[error(transparent)]
     Figure(#[from] FigureError),
-    /// A worker ended early.
-    #[error(transparent)]
-    Worker(#[from] WorkerLost),
 }
 
 /// Operating point, which is simulated once.
@@ -212,7 +209,7 @@ pub fn study(
         report(job.file_stem());
         cell
     };
-    let results = in_parallel(&missing, run)?;
+    let results = in_parallel(&missing, run);
     let mut cells = stored;
     for (empty, cell) in cells.iter_mut().filter(|c| c.is_none()).zip(results) {
         *empty = Some(cell?);
@@ -225,7 +222,7 @@ fn simulate(jobs: &[&PaperJob]) -> Result<Vec<Point>, PaperStudyError> {
     let settings = distinct(jobs, |job| (job.load, job.f_sw_hz));
     let points = in_parallel(&settings, |(load, f_sw_hz)| {
         Point::simulate(*load, *f_sw_hz)
-    })?;
+    });
     Ok(points.into_iter().collect::<Result<_, _>>()?)
 }
 

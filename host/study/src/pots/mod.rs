@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use self::hobs::{SecondHob, entry};
 use super::map::places::PotPlacement;
-use super::parallel::{WorkerLost, in_parallel};
+use super::parallel::in_parallel;
 
 /// Plan of the study.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,28 +99,14 @@ pub struct PotsRun {
     pub after: Vec<TaughtLookup>,
 }
 
-/// Error of the study.
+/// Error of the study for a pot.
 #[derive(Debug, thiserror::Error)]
-pub enum PotsStudyError {
-    /// The simulator reported an error for a pot.
-    #[error("{pot}: {source}")]
-    Simulation {
-        /// Name of the pot.
-        pot: String,
-        /// Error.
-        source: InverterError,
-    },
-    /// The network could not be trained on a window.
-    #[error("{pot}: {source}")]
-    Network {
-        /// Name of the pot.
-        pot: String,
-        /// Error.
-        source: PinnError,
-    },
-    /// A worker ended without its results.
-    #[error(transparent)]
-    Workers(#[from] WorkerLost),
+#[error("{pot}: {source}")]
+pub struct PotsStudyError {
+    /// Name of the pot.
+    pot: String,
+    /// Error.
+    source: PotError,
 }
 
 /// Error of studying one pot.
@@ -136,10 +122,9 @@ pub enum PotError {
 
 impl PotError {
     fn into_study_error(self, pot: &str) -> PotsStudyError {
-        let pot = pot.to_owned();
-        match self {
-            Self::Simulation(source) => PotsStudyError::Simulation { pot, source },
-            Self::Network(source) => PotsStudyError::Network { pot, source },
+        PotsStudyError {
+            pot: pot.to_owned(),
+            source: self,
         }
     }
 }
@@ -165,7 +150,7 @@ pub fn study(
         let entry = entry(plan.load, &other.pot, &other.name, OTHERS_SEED);
         finished();
         entry
-    })?;
+    });
     let mut others = Vec::new();
     for (other, entry) in plan.others.iter().zip(entries) {
         let entry = entry.map_err(|why| why.into_study_error(&other.name))?;
@@ -175,7 +160,7 @@ pub fn study(
         let runs = runs(plan, pot, *perturbation, &others);
         finished();
         runs
-    })?;
+    });
     let mut runs = Vec::new();
     for ((pot, _), result) in jobs.iter().zip(results) {
         runs.extend(result.map_err(|why| why.into_study_error(&pot.name))?);

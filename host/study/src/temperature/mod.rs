@@ -14,7 +14,7 @@ use ihd_sim::inverter::InverterError;
 use ihd_sim::pot::{PotBase, SimulatedPot};
 use serde::Serialize;
 
-use super::parallel::{WorkerLost, in_parallel};
+use super::parallel::in_parallel;
 pub use kitchen::{Sample, cook};
 
 /// Pots of the study: metal, diameter in metre, and the largest power, in watt.
@@ -161,17 +161,6 @@ pub struct TemperatureRun {
     pub hottest_c: f64,
 }
 
-/// Error of the study.
-#[derive(Debug, thiserror::Error)]
-pub enum TemperatureStudyError {
-    /// The simulator reported an error.
-    #[error(transparent)]
-    Simulation(#[from] InverterError),
-    /// A worker ended without its results.
-    #[error(transparent)]
-    Workers(#[from] WorkerLost),
-}
-
 /// Number from 0 to 1 for a seed and a purpose, the same on every machine.
 fn share(seed: u64, purpose: u64) -> f64 {
     let mut x = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15)
@@ -277,19 +266,17 @@ fn boil_s(litre: f64, power_w: f64) -> f64 {
 /// Runs the plan on all cores. `progress` is called with the numbers of finished and of all runs.
 ///
 /// # Errors
-/// [`TemperatureStudyError`].
+/// If there is no model of a pot.
 pub fn study(
     plan: &TemperaturePlan,
     progress: &(dyn Fn(usize, usize) + Sync),
-) -> Result<Vec<TemperatureRun>, TemperatureStudyError> {
+) -> Result<Vec<TemperatureRun>, InverterError> {
     let jobs = plan.jobs();
     let done = AtomicUsize::new(0);
     let runs = in_parallel(&jobs, |job| {
         let run = cook(job, |_| ());
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, jobs.len());
         run
-    })?;
-    runs.into_iter()
-        .collect::<Result<_, _>>()
-        .map_err(TemperatureStudyError::from)
+    });
+    runs.into_iter().collect()
 }
