@@ -89,7 +89,8 @@ pub struct Cooking {
 const LIFTS_M: f64 = 1.5e-3;
 
 impl Cooking {
-    /// Places a pot with contents, at its own temperature and lift; the lift may change by up to 1.5 mm from 0.
+    /// Places a pot with contents, at its own temperature and lift; the lift may change by up to 1.5 mm from 0. `seed` is of the
+    /// bias over the frequency, which is the hob's, and of the noise.
     ///
     /// # Errors
     /// If there is no model of that pot.
@@ -122,6 +123,12 @@ impl Cooking {
             phase: TAU * normal,
             rng,
         })
+    }
+
+    /// Gives the same hob the noise of another seed.
+    pub fn with_noise(self, seed: u64) -> Self {
+        let rng = ChaCha8Rng::seed_from_u64(seed);
+        Self { rng, ..self }
     }
 
     /// Requests a mean power in watt; 0 switches off.
@@ -304,6 +311,24 @@ mod tests {
             (cooked.power_w / heated.power_w() - 1.0).abs() < 0.02,
             "{heated:?} {cooked:?}"
         );
+    }
+
+    #[test]
+    fn another_seeds_noise_leaves_the_hobs_bias() {
+        let pot = SimulatedPot::new(crate::pot::PotBase::Ferritic, 0.18);
+        let mean = |noise| {
+            let hob = Cooking::new(pot, PotContents::Food, PotDeviation::default(), 1).unwrap();
+            let mut hob = hob.with_noise(noise);
+            hob.set_power(1500.0);
+            let r_ohm = (0..400).map(|_| hob.half_cycle().r_ohm);
+            let r_ohm: Vec<f64> = r_ohm.collect();
+            (r_ohm[0], r_ohm.iter().sum::<f64>() / 400.0)
+        };
+        let (one, other) = (mean(2), mean(3));
+        assert_ne!(one.0, other.0);
+        // Five deviations of the difference of two means of 400.
+        let limit = 5.0 * NOISE.0 * (2.0f64 / 400.0).sqrt();
+        assert!((one.1 / other.1 - 1.0).abs() < limit, "{one:?} {other:?}");
     }
 
     #[test]

@@ -25,6 +25,7 @@ const PALE: RGBColor = RGBColor(150, 190, 225);
 pub fn write(path: &Path) -> Result<(), FigureError> {
     let job = |kind, contents, power_w, duration_s, moved| CookingJob {
         seed: 11,
+        noise_seed: 11,
         kind,
         pot: SimulatedPot {
             lift_m: 0.2e-3,

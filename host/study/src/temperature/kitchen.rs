@@ -9,8 +9,8 @@ use super::{CookingJob, CookingKind, TemperatureRun};
 /// Time after a move in seconds within which it must be reported.
 const MOVE_REPORT_S: f64 = 3.0;
 
-/// Range of the base's temperature in °C in which errors count.
-const RANGE_C: (f64, f64) = (10.0, 150.0);
+/// Temperature of the base in °C up to which errors count.
+const MAX_C: f64 = 150.0;
 
 /// Truth and estimate, once a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,6 +55,12 @@ fn asked_w(job: &CookingJob, t_s: f64, base_c: f64) -> f64 {
     }
 }
 
+/// Puts the job's pot on the hob.
+fn put_on(job: &CookingJob) -> Result<Cooking, InverterError> {
+    let cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
+    Ok(cooking.with_noise(job.noise_seed))
+}
+
 /// Simulates the cooking; `each` is called with a sample every second.
 ///
 /// # Errors
@@ -63,36 +69,13 @@ pub fn cook(
     job: &CookingJob,
     mut each: impl FnMut(Sample),
 ) -> Result<TemperatureRun, InverterError> {
-    let mut cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
+    let mut cooking = put_on(job)?;
     let mut thermometer = Thermometer::default();
     for number in 0..job.lessons {
         boil(&job.lesson(number), &mut thermometer)?;
     }
     thermometer.take_events();
-    let start_c = job.pot.temperature_c;
-    let moved_mm = job
-        .moved
-        .map_or(0.0, |(_, to_m)| 1e3 * (to_m - job.pot.lift_m));
-    let mut run = TemperatureRun {
-        seed: job.seed,
-        kind: job.kind,
-        pot: job.pot.to_string(),
-        contents: job.contents.to_string(),
-        power_w: job.power_w,
-        squares_k2: 0.0,
-        readings: 0,
-        z_squares: 0.0,
-        worst_k: 0.0,
-        bubbles_s: None,
-        bubbles_reported_s: None,
-        boils_s: None,
-        boils_reported_s: None,
-        moved_mm,
-        moves_reported: 0,
-        moves_wrong: 0,
-        overheat_reported: false,
-        hottest_c: start_c,
-    };
+    let mut run = TemperatureRun::new(job);
     let (mut move_due, mut next_reading_s) = (job.moved, 0.0);
     while cooking.t_s() < job.duration_s {
         let (t_s, base_c) = (cooking.t_s(), cooking.thermal().temperature_c());
@@ -110,21 +93,16 @@ pub fn cook(
         if thermal.is_boiling() {
             run.boils_s.get_or_insert(t_s);
         }
-        run.hottest_c = run.hottest_c.max(base_c);
         for event in thermometer.take_events() {
-            record_event(&mut run, job, t_s, event);
+            run.record_event(job, t_s, base_c, event);
         }
         let Some(estimate) = thermometer.reading().filter(|_| t_s >= next_reading_s) else {
             continue;
         };
         next_reading_s = t_s + 1.0;
-        let rise_k = base_c - start_c;
-        if (RANGE_C.0..=RANGE_C.1).contains(&base_c) {
-            let off_k = estimate.rise_k - rise_k;
-            run.squares_k2 += off_k * off_k;
-            run.z_squares += (off_k / estimate.sigma_k).powi(2);
-            run.worst_k = run.worst_k.max(off_k.abs());
-            run.readings += 1;
+        let rise_k = base_c - job.pot.temperature_c;
+        if base_c <= MAX_C {
+            run.record_error(estimate.rise_k - rise_k, estimate.sigma_k);
         }
         each(Sample {
             t_s,
@@ -137,7 +115,7 @@ pub fn cook(
 
 /// Cooks before `thermometer`, and takes the pot off.
 fn boil(job: &CookingJob, thermometer: &mut Thermometer) -> Result<(), InverterError> {
-    let mut cooking = Cooking::new(job.pot, job.contents, job.deviation, job.seed)?;
+    let mut cooking = put_on(job)?;
     cooking.set_power(job.power_w);
     while cooking.t_s() < job.duration_s {
         thermometer.push(&half_cycle(&cooking.half_cycle()));
@@ -146,22 +124,58 @@ fn boil(job: &CookingJob, thermometer: &mut Thermometer) -> Result<(), InverterE
     Ok(())
 }
 
-fn record_event(run: &mut TemperatureRun, job: &CookingJob, t_s: f64, event: PotEvent) {
-    match event {
-        PotEvent::Placed { .. } => {}
-        PotEvent::Moved { .. } => {
-            let is_due = |(at_s, _): (f64, f64)| (at_s..at_s + MOVE_REPORT_S).contains(&t_s);
-            match job.moved.is_some_and(is_due) {
-                true => run.moves_reported += 1,
-                false => run.moves_wrong += 1,
+impl TemperatureRun {
+    /// Creates a run of which nothing is known yet.
+    fn new(job: &CookingJob) -> Self {
+        let moved_m = job.moved.map_or(0.0, |(_, to_m)| to_m - job.pot.lift_m);
+        Self {
+            seed: job.seed,
+            kind: job.kind,
+            pot: job.pot.to_string(),
+            contents: job.contents.to_string(),
+            power_w: job.power_w,
+            squares_k2: 0.0,
+            readings: 0,
+            z_squares: 0.0,
+            worst_k: 0.0,
+            bubbles_s: None,
+            bubbles_reported_s: None,
+            boils_s: None,
+            boils_reported_s: None,
+            moved_mm: 1e3 * moved_m,
+            moves_reported: 0,
+            moves_wrong: 0,
+            overheat_reported_c: None,
+        }
+    }
+
+    fn record_error(&mut self, off_k: f64, sigma_k: f64) {
+        self.squares_k2 += off_k * off_k;
+        self.z_squares += (off_k / sigma_k).powi(2);
+        self.worst_k = self.worst_k.max(off_k.abs());
+        self.readings += 1;
+    }
+
+    fn record_event(&mut self, job: &CookingJob, t_s: f64, base_c: f64, event: PotEvent) {
+        match event {
+            PotEvent::Placed { .. } => {}
+            PotEvent::Moved { .. } => {
+                let is_due = |(at_s, _): (f64, f64)| (at_s..at_s + MOVE_REPORT_S).contains(&t_s);
+                match job.moved.is_some_and(is_due) {
+                    true => self.moves_reported += 1,
+                    false => self.moves_wrong += 1,
+                }
+            }
+            PotEvent::Bubbles => {
+                self.bubbles_reported_s.get_or_insert(t_s);
+            }
+            PotEvent::Boils { .. } => {
+                self.boils_reported_s.get_or_insert(t_s);
+            }
+            PotEvent::Overheats { .. } => {
+                let coldest_c = self.overheat_reported_c.unwrap_or(base_c).min(base_c);
+                self.overheat_reported_c = Some(coldest_c);
             }
         }
-        PotEvent::Bubbles => {
-            run.bubbles_reported_s.get_or_insert(t_s);
-        }
-        PotEvent::Boils { .. } => {
-            run.boils_reported_s.get_or_insert(t_s);
-        }
-        PotEvent::Overheats { .. } => run.overheat_reported = true,
     }
 }

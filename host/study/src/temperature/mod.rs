@@ -95,8 +95,10 @@ pub struct TemperaturePlan {
 /// Specification of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CookingJob {
-    /// Seed.
+    /// Seed of the hob, the pot and the cook.
     pub seed: u64,
+    /// Seed of the noise.
+    pub noise_seed: u64,
     /// Kind.
     pub kind: CookingKind,
     /// Pot with its lift and its temperature.
@@ -128,7 +130,7 @@ pub struct TemperatureRun {
     pub contents: String,
     /// Power in watt.
     pub power_w: f64,
-    /// Σ of ΔT's squared errors in K², one a second, with the base from 20 to 150 °C.
+    /// Σ of ΔT's squared errors in K², one a second, with the base at 150 °C at most.
     pub squares_k2: f64,
     /// Number of these errors.
     #[serde(rename = "looks")]
@@ -154,15 +156,13 @@ pub struct TemperatureRun {
     pub moves_reported: u32,
     /// Number of reported moves that did not happen.
     pub moves_wrong: u32,
-    /// `true` if overheating was reported.
-    #[serde(rename = "overheats_said")]
-    pub overheat_reported: bool,
-    /// Highest true temperature of the base in °C.
-    pub hottest_c: f64,
+    /// Lowest true temperature of the base in °C at which overheating was reported.
+    #[serde(rename = "overheats_said_c")]
+    pub overheat_reported_c: Option<f64>,
 }
 
-/// Number from 0 to 1 for a seed and a purpose, the same on every machine.
-fn share(seed: u64, purpose: u64) -> f64 {
+/// Seed of its own for a purpose, the same on every machine.
+fn derived_seed(seed: u64, purpose: u64) -> u64 {
     let mut x = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15)
         ^ purpose.wrapping_add(1).wrapping_mul(0xD1B5_4A32_D192_ED03);
     for _ in 0..3 {
@@ -170,7 +170,12 @@ fn share(seed: u64, purpose: u64) -> f64 {
         x = x.wrapping_mul(0xBF58_476D_1CE4_E5B9);
         x ^= x >> 27;
     }
-    (x >> 11) as f64 / (1u64 << 53) as f64
+    x
+}
+
+/// Number from 0 to 1 for a seed and a purpose.
+fn share(seed: u64, purpose: u64) -> f64 {
+    (derived_seed(seed, purpose) >> 11) as f64 / (1u64 << 53) as f64
 }
 
 impl TemperaturePlan {
@@ -216,6 +221,7 @@ impl TemperaturePlan {
         let moves = matches!(kind, CookingKind::Restless) || u(3) < 0.5;
         CookingJob {
             seed,
+            noise_seed: derived_seed(seed, 14),
             kind,
             pot: SimulatedPot {
                 lift_m: LIFT_M * u(4),
@@ -238,11 +244,13 @@ impl TemperaturePlan {
 }
 
 impl CookingJob {
-    /// Boil of water in the same pot, put on anew: another lift, temperature, power and amount of water.
+    /// Boil of water in the same pot, put on anew: another lift, temperature, power, amount of water and noise.
     fn lesson(&self, number: u64) -> Self {
-        let u = |purpose| share(self.seed, 100 * (number + 1) + purpose);
+        let own = 100 * (number + 1);
+        let u = |purpose| share(self.seed, own + purpose);
         let (litre, power_w) = (0.5 + 0.7 * u(0), self.power_w.max(1200.0));
         Self {
+            noise_seed: derived_seed(self.seed, own + 3),
             kind: CookingKind::Boil,
             pot: SimulatedPot {
                 lift_m: LIFT_M * u(1),
@@ -279,4 +287,29 @@ pub fn study(
         run
     });
     runs.into_iter().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn every_lesson_and_the_judged_run_have_noise_of_their_own_on_one_hob() {
+        let plan = TemperaturePlan {
+            runs: 4,
+            seed: 1,
+            alloy: 0.2,
+            lessons: 3,
+        };
+        let jobs = plan.jobs();
+        let all: Vec<CookingJob> = jobs
+            .iter()
+            .flat_map(|job| (0..job.lessons).map(move |k| job.lesson(k)).chain([*job]))
+            .collect();
+        let noises: BTreeSet<u64> = all.iter().map(|job| job.noise_seed).collect();
+        let hobs: BTreeSet<u64> = all.iter().map(|job| job.seed).collect();
+        assert_eq!((noises.len(), hobs.len()), (all.len(), jobs.len()));
+    }
 }

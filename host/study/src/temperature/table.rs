@@ -18,8 +18,11 @@ const BOIL_GOAL_S: f64 = 20.0;
 /// Smallest move that must be reported, in mm: 0.5 % of R and 1.2 % of L.
 const MOVE_MM: f64 = 0.2;
 
-/// Time before the true boil from which on an early report counts as false, in seconds.
+/// Time before the truth from which on an early report of a plateau or a boil counts as false, in seconds.
 const FALSE_BEFORE_S: f64 = 60.0;
+
+/// Temperature of the base in °C below which a report of overheating is false.
+const OVERHEATS_C: f64 = 170.0;
 
 /// Sums of all runs with one spread of alloys.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -48,15 +51,17 @@ pub struct TemperatureSums {
     pub bubbles_median_s: Option<f64>,
     /// Largest magnitude of it.
     pub bubbles_worst_s: Option<f64>,
-    /// Number of boils reported without one, or more than a minute too early.
+    /// Number of boils reported without one, or more than a minute too early: they count as false alone.
     pub false_boils: usize,
+    /// Number of plateaus reported without one, or more than a minute too early: they count as false alone.
+    pub false_bubbles: usize,
     /// Number of moves of more than 0.2 mm.
     pub moves: usize,
     /// Number of reported moves.
     pub moves_found: usize,
     /// Number of reported moves that did not happen.
     pub false_moves: usize,
-    /// Number of runs with overheating reported below 170 °C.
+    /// Number of runs with overheating reported while the base was below 170 °C.
     pub false_overheats: usize,
 }
 
@@ -71,11 +76,20 @@ fn quantile(mut values: Vec<f64>, share: f64) -> Option<f64> {
     values.get((share * last as f64).round() as usize).copied()
 }
 
-fn is_false_boil(run: &TemperatureRun) -> bool {
-    run.boils_reported_s.is_some_and(|reported| {
-        run.boils_s
-            .is_none_or(|truth| reported < truth - FALSE_BEFORE_S)
+/// True and reported time of an event, in seconds.
+type EventTimes = (Option<f64>, Option<f64>);
+
+fn is_false((truth_s, reported_s): EventTimes) -> bool {
+    reported_s.is_some_and(|reported_s| {
+        truth_s.is_none_or(|truth_s| reported_s < truth_s - FALSE_BEFORE_S)
     })
+}
+
+/// Times from the truth to its report in seconds, and the number of false reports.
+fn compare(runs: &[TemperatureRun], times: fn(&TemperatureRun) -> EventTimes) -> (Vec<f64>, usize) {
+    let (wrong, right): (Vec<_>, Vec<_>) = runs.iter().map(times).partition(|t| is_false(*t));
+    let off = |(truth_s, reported_s): EventTimes| Some(reported_s? - truth_s?);
+    (right.into_iter().filter_map(off).collect(), wrong.len())
 }
 
 impl TemperatureSums {
@@ -89,17 +103,8 @@ impl TemperatureSums {
         };
         let (boiling, quiet) = (over(true), over(false));
         let z: f64 = runs.iter().map(|r| r.z_squares).sum();
-        let off = |truth: fn(&TemperatureRun) -> Option<f64>,
-                   reported: fn(&TemperatureRun) -> Option<f64>|
-         -> Vec<f64> {
-            let of = |r: &TemperatureRun| Some(reported(r)? - truth(r)?);
-            runs.iter()
-                .filter(|r| !is_false_boil(r))
-                .filter_map(of)
-                .collect()
-        };
-        let boils = off(|r| r.boils_s, |r| r.boils_reported_s);
-        let bubbles = off(|r| r.bubbles_s, |r| r.bubbles_reported_s);
+        let (boils, false_boils) = compare(runs, |r| (r.boils_s, r.boils_reported_s));
+        let (bubbles, false_bubbles) = compare(runs, |r| (r.bubbles_s, r.bubbles_reported_s));
         let apart = |x: &[f64]| x.iter().map(|x| x.abs()).collect::<Vec<_>>();
         let has_moved = |r: &&TemperatureRun| r.moved_mm.abs() > MOVE_MM;
         Self {
@@ -115,7 +120,8 @@ impl TemperatureSums {
             boils_within_goal: boils.iter().filter(|x| x.abs() <= BOIL_GOAL_S).count(),
             bubbles_median_s: quantile(bubbles.clone(), 0.5),
             bubbles_worst_s: quantile(apart(&bubbles), 1.0),
-            false_boils: runs.iter().filter(|r| is_false_boil(r)).count(),
+            false_boils,
+            false_bubbles,
             moves: runs.iter().filter(has_moved).count(),
             moves_found: runs
                 .iter()
@@ -125,7 +131,7 @@ impl TemperatureSums {
             false_moves: runs.iter().map(|r| r.moves_wrong as usize).sum(),
             false_overheats: runs
                 .iter()
-                .filter(|r| r.overheat_reported && r.hottest_c < 170.0)
+                .filter(|r| r.overheat_reported_c.is_some_and(|c| c < OVERHEATS_C))
                 .count(),
         }
     }
@@ -138,15 +144,15 @@ fn number(x: Option<f64>, digits: usize) -> String {
 /// A row of the sums: its name, the cell of a sum, and the goal.
 type SumRow = (&'static str, fn(&TemperatureSums) -> String, &'static str);
 
-const SUM_ROWS: [SumRow; 13] = [
+const SUM_ROWS: [SumRow; 14] = [
     ("runs", |s| s.runs.to_string(), ""),
     (
-        "ΔT from 20 to 150 °C, runs that boil, K rms",
+        "ΔT up to 150 °C, runs that boil, K rms",
         |s| number(s.boiling_rms_k, 1),
         "5",
     ),
     (
-        "ΔT, runs that do not, K rms",
+        "ΔT up to 150 °C, runs that do not, K rms",
         |s| number(s.quiet_rms_k, 1),
         "5",
     ),
@@ -180,7 +186,16 @@ const SUM_ROWS: [SumRow; 13] = [
         |s| pair(s.bubbles_median_s, s.bubbles_worst_s),
         "",
     ),
-    ("false boils", |s| s.false_boils.to_string(), "0"),
+    (
+        "false boils: none true, or over 60 s early; in no row above",
+        |s| s.false_boils.to_string(),
+        "0",
+    ),
+    (
+        "false plateaus: the same",
+        |s| s.false_bubbles.to_string(),
+        "",
+    ),
     (
         "moves of 0.2 mm and more found",
         |s| format!("{} of {}", s.moves_found, s.moves),
@@ -227,7 +242,7 @@ fn kinds(name: &str, runs: &[TemperatureRun]) -> String {
     let mut out = String::new();
     let _ = writeln!(
         out,
-        "\n| {name} | runs | ΔT K rms | worst K | boils said | true |"
+        "\n| {name} | runs | ΔT up to 150 °C, K rms | worst K | boils said | true |"
     );
     let _ = writeln!(out, "|---|---:|---:|---:|---:|---:|");
     for kind in CookingKind::BOILS.into_iter().chain(CookingKind::QUIET) {
@@ -270,8 +285,7 @@ mod tests {
             moved_mm: 0.3,
             moves_reported: 0,
             moves_wrong: 1,
-            overheat_reported: true,
-            hottest_c: 120.0,
+            overheat_reported_c: Some(169.0),
         }
     }
 
@@ -291,6 +305,36 @@ mod tests {
         assert_eq!((sum.boiling_rms_k, sum.z_rms), (Some(2.0), Some(1.0)));
         assert_eq!((sum.moves, sum.moves_found, sum.false_moves), (6, 0, 6));
         assert_eq!(sum.false_overheats, 6);
-        assert!(markdown(&[("a".into(), runs.to_vec())]).contains("| false boils | 2 | 0 |"));
+        let text = markdown(&[("a".into(), runs.to_vec())]);
+        assert!(text.contains("in no row above | 2 | 0 |"), "{text}");
+    }
+
+    #[test]
+    fn a_plateau_without_bubbles_is_false_and_so_is_one_a_minute_early() {
+        let plateau = |bubbles_s, bubbles_reported_s| TemperatureRun {
+            bubbles_s,
+            bubbles_reported_s,
+            ..run(None, None)
+        };
+        let runs = [
+            plateau(Some(100.0), Some(130.0)),
+            plateau(Some(100.0), Some(39.0)),
+            plateau(None, Some(50.0)),
+            plateau(Some(100.0), None),
+        ];
+        let sum = TemperatureSums::summarise(&runs);
+        assert_eq!((sum.false_bubbles, sum.false_boils), (2, 0));
+        assert_eq!(sum.bubbles_worst_s, Some(30.0));
+    }
+
+    /// A pot that overheats later was not yet hot when that was said.
+    #[test]
+    fn overheating_is_judged_at_its_report() {
+        let at = |overheat_reported_c| TemperatureRun {
+            overheat_reported_c,
+            ..run(None, None)
+        };
+        let runs = [at(Some(171.0)), at(Some(150.0)), at(None)];
+        assert_eq!(TemperatureSums::summarise(&runs).false_overheats, 1);
     }
 }
