@@ -7,7 +7,7 @@ pub mod table;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ihd_identify::accuracy::Accuracy;
-use ihd_identify::{IdentifyError, IdentifyOptions, Method, run};
+use ihd_identify::{IdentifyOptions, Method, run};
 use ihd_signal::truth::PeriodTruth;
 use ihd_sim::inverter::InverterError;
 use ihd_sim::recording::settings::LoadKind;
@@ -83,7 +83,7 @@ pub struct EstimatorsCell {
     pub snr_db: Option<f64>,
     /// Number of runs with an estimate.
     pub runs: usize,
-    /// Number of failed runs.
+    /// Number of runs without an estimate, or without one to compare.
     pub failed: usize,
     /// Reason of the first failure.
     pub failure: Option<String>,
@@ -118,11 +118,8 @@ impl Point {
     }
 }
 
-/// Results of one run: every method on one capture.
-type Run = Vec<(
-    Method,
-    Result<Vec<(ComparisonLoad, Accuracy)>, IdentifyError>,
-)>;
+/// Results of one run: every method on one capture against every reference; in words where there is none.
+type Run = Vec<(Method, ComparisonLoad, Result<Accuracy, String>)>;
 
 /// Runs the plan on all cores; the result does not depend on their number. `progress` is called with the numbers of finished and of
 /// all captures.
@@ -181,14 +178,21 @@ fn run_all(plan: &EstimatorsPlan, point: &Point, snr_db: Option<f64>, seed: u64)
     let mut settings = IdentifyOptions::default();
     // The result must not depend on the machine's load.
     settings.pinn.deterministic = true;
-    let one = |method: Method| {
-        let estimate = run(method, &segment, &settings)?;
-        let against = |(reference, truth): &(ComparisonLoad, Vec<PeriodTruth>)| {
-            Accuracy::measure(&estimate, &segment, truth, from_s).map(|a| (*reference, a))
-        };
-        Ok(point.references.iter().filter_map(against).collect())
-    };
-    plan.methods.iter().map(|&m| (m, one(m))).collect()
+    let mut results = Vec::new();
+    for &method in &plan.methods {
+        let estimate = run(method, &segment, &settings).map_err(|why| why.to_string());
+        for (reference, truth) in &point.references {
+            let accuracy = estimate
+                .as_ref()
+                .map_err(String::clone)
+                .and_then(|estimate| {
+                    let accuracy = Accuracy::measure(estimate, &segment, truth, from_s);
+                    accuracy.ok_or_else(|| "no time in common with the truth".to_owned())
+                });
+            results.push((method, *reference, accuracy));
+        }
+    }
+    results
 }
 
 fn cell(
@@ -211,21 +215,20 @@ fn cell(
         middle: RlErrors::default(),
         weighted: RlErrors::default(),
     };
-    for (_, result) in runs.iter().flat_map(|r| r.iter()).filter(|r| r.0 == method) {
+    let own = |r: &&(Method, ComparisonLoad, _)| (r.0, r.1) == (method, reference);
+    for (_, _, result) in runs.iter().flat_map(|r| r.iter()).filter(own) {
         match result {
-            Ok(found) => {
-                for (_, a) in found.iter().filter(|(r, _)| *r == reference) {
-                    cell.runs += 1;
-                    cell.whole.add(a.whole.r_pct, a.whole.l_pct);
-                    cell.middle.add(a.middle.r_pct, a.middle.l_pct);
-                    cell.weighted.add(a.weighted.r_pct, a.weighted.l_pct);
-                    cell.worst.r_pct = cell.worst.r_pct.max(a.whole.r_pct);
-                    cell.worst.l_pct = cell.worst.l_pct.max(a.whole.l_pct);
-                }
+            Ok(a) => {
+                cell.runs += 1;
+                cell.whole.add(a.whole.r_pct, a.whole.l_pct);
+                cell.middle.add(a.middle.r_pct, a.middle.l_pct);
+                cell.weighted.add(a.weighted.r_pct, a.weighted.l_pct);
+                cell.worst.r_pct = cell.worst.r_pct.max(a.whole.r_pct);
+                cell.worst.l_pct = cell.worst.l_pct.max(a.whole.l_pct);
             }
-            Err(error) => {
+            Err(why) => {
                 cell.failed += 1;
-                cell.failure.get_or_insert_with(|| error.to_string());
+                cell.failure.get_or_insert_with(|| why.clone());
             }
         }
     }

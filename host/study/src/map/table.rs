@@ -45,8 +45,8 @@ pub struct MapLine {
     pub why: Option<String>,
     /// Errors of the accepted lookups; if there are none, of the others.
     pub error: Option<LookupAccuracy>,
-    /// `true` if every seed has a lookup within the goal in its unseen cells.
-    pub met: bool,
+    /// `true` if every seed has a lookup within the goal in its unseen cells; `None` if one has no such cell.
+    pub met: Option<bool>,
 }
 
 /// Lines, by builder and pot.
@@ -88,13 +88,8 @@ fn line(
         .filter_map(|v| v.error)
         .collect();
     let error = merged(&errors);
-    let within = |is: Option<f64>, goal: f64| is.is_none_or(|is| is <= goal);
-    let good = |e: &CellErrors| {
-        within(e.r_mean_pct, GOAL_R_PCT.0)
-            && within(e.r_worst_pct, GOAL_R_PCT.1)
-            && within(e.l_mean_pct, 0.5 * GOAL_R_PCT.0)
-            && within(e.l_worst_pct, 0.5 * GOAL_R_PCT.1)
-    };
+    let within: Vec<_> = errors.iter().map(|e| is_within_goal(&e.unseen)).collect();
+    let is_missed = refused > 0 || within.is_empty() || within.contains(&Some(false));
     MapLine {
         pot: runs[0].pot.clone(),
         perturbation: runs[0].perturbation,
@@ -103,9 +98,22 @@ fn line(
         seeds: runs.len(),
         refused,
         why: verdicts.iter().find_map(|v| v.refused.clone()),
-        met: refused == 0 && errors.iter().all(|e| good(&e.unseen)) && !errors.is_empty(),
+        met: match is_missed {
+            true => Some(false),
+            false => (!within.contains(&None)).then_some(true),
+        },
         error,
     }
+}
+
+/// Returns whether the errors are within the goal; `None` without cells.
+fn is_within_goal(e: &CellErrors) -> Option<bool> {
+    Some(
+        e.r_mean_pct? <= GOAL_R_PCT.0
+            && e.r_worst_pct? <= GOAL_R_PCT.1
+            && e.l_mean_pct? <= 0.5 * GOAL_R_PCT.0
+            && e.l_worst_pct? <= 0.5 * GOAL_R_PCT.1,
+    )
 }
 
 fn merged(errors: &[LookupAccuracy]) -> Option<LookupAccuracy> {
@@ -204,8 +212,11 @@ fn row(line: &MapLine) -> String {
     };
     let verdict = match (line.reached, line.refused) {
         (0, _) => "not heated".into(),
-        (_, 0) if line.met => "met".into(),
-        (_, 0) => "**missed**".into(),
+        (_, 0) => match line.met {
+            Some(true) => "met".into(),
+            Some(false) => "**missed**".into(),
+            None => "not judged".into(),
+        },
         (_, n) => {
             let why = line.why.as_deref().unwrap_or("no reason");
             // The advice in a reason is left out of the table.
@@ -263,9 +274,9 @@ mod tests {
             (unseen.r_mean_pct, unseen.r_worst_pct),
             (Some(1.3), Some(4.0))
         );
-        assert!(line.met && line.refused == 0);
+        assert_eq!((line.met, line.refused), (Some(true), 0));
         let runs = [run("a", 1, 1.0, 3.0, None), run("a", 2, 1.0, 5.1, None)];
-        assert!(!lines(&runs)[0].met);
+        assert_eq!(lines(&runs)[0].met, Some(false));
     }
 
     #[test]
@@ -275,12 +286,28 @@ mod tests {
             run("b", 1, 0.1, 0.2, None),
         ];
         let lines = lines(&runs);
-        assert!(!lines[0].met && lines[1].met);
+        assert_eq!((lines[0].met, lines[1].met), (Some(false), Some(true)));
         let text = row(&lines[0]);
         assert!(
             text.contains("**refused** 1 of 1: cell 9 differs |"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn a_lookup_without_an_unseen_cell_is_not_judged_and_hides_no_miss() {
+        let unseen = |seed, errors| {
+            let mut run = run("a", seed, 9.0, 9.0, None);
+            let judgement = run.map.as_mut().unwrap();
+            judgement.error.as_mut().unwrap().unseen = errors;
+            run
+        };
+        let none = unseen(1, CellErrors::default());
+        let line = &lines(std::slice::from_ref(&none))[0];
+        assert_eq!(line.met, None);
+        assert!(row(line).ends_with("not judged |\n"));
+        let missed = run("a", 2, 9.0, 9.0, None);
+        assert_eq!(lines(&[none, missed])[0].met, Some(false));
     }
 
     #[test]
@@ -291,6 +318,6 @@ mod tests {
         let lines = lines(&runs);
         assert_eq!(lines.len(), 2);
         assert!(row(&lines[1]).contains("not heated"));
-        assert!(!lines[1].met);
+        assert_eq!(lines[1].met, Some(false));
     }
 }
