@@ -74,8 +74,8 @@ pub struct TaughtLookup {
     pub error: Option<LookupAccuracy>,
     /// Share of the reached cells that are marked as known.
     pub known: f64,
-    /// Largest error of R and of L in marked cells, in percent.
-    pub worst_known_pct: [f64; 2],
+    /// Largest error of R and of L in marked cells, in percent; `None` without any.
+    pub worst_known_pct: Option<[f64; 2]>,
     /// Weight of the library in the map's hypotheses.
     pub recognised: f64,
 }
@@ -197,27 +197,9 @@ fn runs(
             .map(|(_, e)| e.clone())
             .collect();
         let curves = hob.curves(seed)?;
+        let first_hz = curves.first().map_or(0.0, |c| c.f_sw_hz);
         for library in LibraryContents::ALL {
-            let first_hz = curves.first().map_or(0.0, |c| c.f_sw_hz);
-            let lies = |by| {
-                let forged = same
-                    .iter()
-                    .filter_map(|e| lie::forged_entry(e, first_hz, by));
-                forged.collect::<Vec<_>>()
-            };
-            let entries = match library {
-                LibraryContents::Nothing => Vec::new(),
-                LibraryContents::Same => same.iter().cloned().collect(),
-                LibraryContents::Among => same.iter().chain(&strangers).cloned().collect(),
-                LibraryContents::Others => strangers.clone(),
-                LibraryContents::NearMiss => lies(lie::SMALL),
-                LibraryContents::Lie => lies(lie::LARGE),
-            };
-            let mut shelf = Library::default();
-            for entry in entries {
-                // A rejected entry is missing in the library; the runs show the effect.
-                let _refused = shelf.add(entry).is_err();
-            }
+            let shelf = shelf(library, same.as_ref(), &strangers, first_hz);
             let mut map = PotMap::default().with_library(Arc::new(shelf));
             let after = curves.iter().map(|curve| {
                 map.observe(curve.clone());
@@ -238,6 +220,30 @@ fn runs(
     Ok(runs)
 }
 
+/// Library with some contents, of the pot's entry and the others. Forged entries fit at `first_hz`, the first window's frequency.
+fn shelf(
+    contents: LibraryContents,
+    same: Option<&PotEntry>,
+    others: &[PotEntry],
+    first_hz: f64,
+) -> Library {
+    let lie = |by| same.and_then(|e| lie::forged_entry(e, first_hz, by));
+    let entries: Vec<PotEntry> = match contents {
+        LibraryContents::Nothing => Vec::new(),
+        LibraryContents::Same => same.into_iter().cloned().collect(),
+        LibraryContents::Among => same.into_iter().chain(others).cloned().collect(),
+        LibraryContents::Others => others.to_vec(),
+        LibraryContents::NearMiss => lie(lie::SMALL).into_iter().collect(),
+        LibraryContents::Lie => lie(lie::LARGE).into_iter().collect(),
+    };
+    let mut shelf = Library::default();
+    for entry in entries {
+        // A rejected entry is missing in the library; the runs show the effect.
+        let _refused = shelf.add(entry).is_err();
+    }
+    shelf
+}
+
 impl SecondHob {
     /// Compares the lookup of a map with the truth.
     fn judge(&self, map: &PotMap, now_s: f64) -> TaughtLookup {
@@ -247,7 +253,7 @@ impl SecondHob {
             windows,
             error: None,
             known: 0.0,
-            worst_known_pct: [0.0; 2],
+            worst_known_pct: None,
             recognised,
         };
         let built = map
@@ -260,13 +266,11 @@ impl SecondHob {
         let known = cells
             .iter()
             .filter(|c| built.lookup.is_observed(c.frequency, c.current));
-        let worst = |pct: [f64; 2], c: &ihd_train::lookup::JudgedCell| {
-            [pct[0].max(c.r_pct.abs()), pct[1].max(c.l_pct.abs())]
-        };
+        let worst = |a: [f64; 2], b: [f64; 2]| [a[0].max(b[0]), a[1].max(b[1])];
         TaughtLookup {
             error: Some(LookupAccuracy::from_cells(&cells)),
             known: known.clone().count() as f64 / cells.len().max(1) as f64,
-            worst_known_pct: known.fold([0.0; 2], worst),
+            worst_known_pct: known.map(|c| [c.r_pct.abs(), c.l_pct.abs()]).reduce(worst),
             ..nothing
         }
     }

@@ -38,23 +38,23 @@ pub struct PotsLine {
     pub never_taught: usize,
 }
 
-/// Errors over runs.
+/// Errors over runs; `None` without a value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PotsSums {
     /// Mean error of R in cells that were not seen, in percent.
-    pub r_mean_pct: f64,
+    pub r_mean_pct: Option<f64>,
     /// Largest error of R in unseen cells, in percent.
-    pub r_worst_pct: f64,
+    pub r_worst_pct: Option<f64>,
     /// Mean error of L in unseen cells, in percent.
-    pub l_mean_pct: f64,
+    pub l_mean_pct: Option<f64>,
     /// Largest error of L in unseen cells, in percent.
-    pub l_worst_pct: f64,
+    pub l_worst_pct: Option<f64>,
     /// Root mean square of (cell − truth)/σ over every reached cell.
-    pub z_rms: f64,
+    pub z_rms: Option<f64>,
     /// Share of the reached cells that are marked as known.
-    pub known: f64,
+    pub known: Option<f64>,
     /// Largest error in marked cells, of R and of L in percent.
-    pub worst_known_pct: [f64; 2],
+    pub worst_known_pct: [Option<f64>; 2],
     /// Number of runs whose lookup no device would accept.
     pub refused: usize,
 }
@@ -63,25 +63,45 @@ impl PotsSums {
     fn summarise<'a>(after: impl Iterator<Item = &'a TaughtLookup>) -> Self {
         let all: Vec<&TaughtLookup> = after.collect();
         let errors: Vec<LookupAccuracy> = all.iter().filter_map(|a| a.error).collect();
-        let mean = |of: &dyn Fn(&LookupAccuracy) -> Option<f64>| {
-            let some: Vec<f64> = errors.iter().filter_map(of).collect();
-            some.iter().sum::<f64>() / some.len().max(1) as f64
-        };
-        let worst = |of: &dyn Fn(&LookupAccuracy) -> Option<f64>| {
-            errors.iter().filter_map(of).fold(0.0, f64::max)
-        };
-        let most = |x: usize| all.iter().map(|a| a.worst_known_pct[x]).fold(0.0, f64::max);
+        let mean_of = |of: fn(&LookupAccuracy) -> Option<f64>| mean(errors.iter().filter_map(of));
+        let worst_of =
+            |of: fn(&LookupAccuracy) -> Option<f64>| errors.iter().filter_map(of).reduce(f64::max);
+        let known = || all.iter().filter_map(|a| a.worst_known_pct);
         Self {
-            r_mean_pct: mean(&|e| e.unseen.r_mean_pct),
-            r_worst_pct: worst(&|e| e.unseen.r_worst_pct),
-            l_mean_pct: mean(&|e| e.unseen.l_mean_pct),
-            l_worst_pct: worst(&|e| e.unseen.l_worst_pct),
-            z_rms: mean(&|e| e.z_rms.map(|z| z * z)).sqrt(),
-            known: all.iter().map(|a| a.known).sum::<f64>() / all.len().max(1) as f64,
-            worst_known_pct: [most(0), most(1)],
+            r_mean_pct: mean_of(|e| e.unseen.r_mean_pct),
+            r_worst_pct: worst_of(|e| e.unseen.r_worst_pct),
+            l_mean_pct: mean_of(|e| e.unseen.l_mean_pct),
+            l_worst_pct: worst_of(|e| e.unseen.l_worst_pct),
+            z_rms: mean_of(|e| e.z_rms.map(|z| z * z)).map(f64::sqrt),
+            known: mean(all.iter().map(|a| a.known)),
+            worst_known_pct: [0, 1].map(|x| known().map(|pct| pct[x]).reduce(f64::max)),
             refused: all.len() - errors.len(),
         }
     }
+
+    /// Cells of the table.
+    fn cells(&self) -> [String; 5] {
+        let number =
+            |x: Option<f64>, digits| x.map_or("–".to_owned(), |x| format!("{x:.digits$}"));
+        let pair = |a, separator: &str, b, digits| match (a, b) {
+            (None, None) => "–".to_owned(),
+            (a, b) => number(a, digits) + separator + &number(b, digits),
+        };
+        let [r_pct, l_pct] = self.worst_known_pct;
+        [
+            pair(self.r_mean_pct, "/", self.r_worst_pct, 2),
+            pair(self.l_mean_pct, "/", self.l_worst_pct, 2),
+            number(self.z_rms, 1),
+            self.known
+                .map_or("–".to_owned(), |share| format!("{:.0} %", 100.0 * share)),
+            pair(r_pct, ", ", l_pct, 1),
+        ]
+    }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, n) = values.fold((0.0, 0u32), |(sum, n), x| (sum + x, n + 1));
+    (n > 0).then(|| sum / f64::from(n))
 }
 
 impl PotsLine {
@@ -169,8 +189,8 @@ pub fn markdown(plan: &PotsPlan, runs: &[PotsRun]) -> String {
         if plan.seeds == 1 { "" } else { "s" },
         asked.join("/"),
     );
-    let heading = "| | library | R 1st | L 1st | z | known | wrong at most | taught after | R last | L last | z | known |\n\
-                   |---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
+    let heading = "| | library | R 1st | L 1st | z | known | wrong at most | taught after | R last | L last | z | known | wrong at most |\n\
+                   |---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|\n";
     out.push_str(heading);
     summary(plan, runs)
         .iter()
@@ -210,33 +230,19 @@ fn row(line: &PotsLine) -> String {
         LibraryContents::NearMiss => "a near miss",
         LibraryContents::Lie => "a lie",
     };
-    let PotsSums {
-        worst_known_pct: [r_pct, l_pct],
-        ..
-    } = line.first;
     let taught = match line.never_taught {
         0 => format!("{:.1}", line.windows_to_taught),
         n => format!("{:.1}, {n} of {} never", line.windows_to_taught, line.runs),
     };
-    let refused = match line.first.refused {
-        0 => String::new(),
-        n => format!(", {n} refused"),
+    let refused = match (line.first.refused, line.last.refused) {
+        (0, 0) => String::new(),
+        (first, last) => format!(", refused 1st {first}, last {last} of {}", line.runs),
     };
     format!(
-        "| {} | {library}{refused} | {:.2}/{:.2} | {:.2}/{:.2} | {:.1} | {:.0} % | {r_pct:.1}, {l_pct:.1} | {taught} | {:.2}/{:.2} | {:.2}/{:.2} | {:.1} | {:.0} % |\n",
+        "| {} | {library}{refused} | {} | {taught} | {} |\n",
         line.pots,
-        line.first.r_mean_pct,
-        line.first.r_worst_pct,
-        line.first.l_mean_pct,
-        line.first.l_worst_pct,
-        line.first.z_rms,
-        100.0 * line.first.known,
-        line.last.r_mean_pct,
-        line.last.r_worst_pct,
-        line.last.l_mean_pct,
-        line.last.l_worst_pct,
-        line.last.z_rms,
-        100.0 * line.last.known,
+        line.first.cells().join(" | "),
+        line.last.cells().join(" | "),
     )
 }
 
@@ -262,7 +268,7 @@ mod tests {
                 z_rms: Some(1.0),
             }),
             known,
-            worst_known_pct: [r_mean, 0.1],
+            worst_known_pct: Some([r_mean, 0.1]),
             recognised: 0.0,
         }
     }
@@ -297,9 +303,37 @@ mod tests {
             &runs.iter().collect::<Vec<_>>(),
         );
         assert_eq!((line.windows_to_taught, line.never_taught), (2.5, 1));
-        assert_eq!((line.first.r_mean_pct, line.first.r_worst_pct), (3.0, 8.0));
-        assert_eq!(line.last.r_mean_pct, 1.5);
-        assert!(row(&line).contains("2.5, 1 of 2 never"));
+        assert_eq!(
+            (line.first.r_mean_pct, line.first.r_worst_pct),
+            (Some(3.0), Some(8.0))
+        );
+        assert_eq!(line.last.r_mean_pct, Some(1.5));
+        let text = row(&line);
+        assert!(text.contains("| 4.0, 0.1 | 2.5, 1 of 2 never |"), "{text}");
+        assert!(text.ends_with("| 75 % | 2.0, 0.1 |\n"), "{text}");
+    }
+
+    #[test]
+    fn a_refused_lookup_has_no_errors_and_is_counted_after_the_last_window_too() {
+        let refused = TaughtLookup {
+            error: None,
+            worst_known_pct: None,
+            ..after(0.0, 0.0)
+        };
+        let line = PotsLine::summarise(
+            "all".into(),
+            LibraryContents::Nothing,
+            &[&run(
+                LibraryContents::Nothing,
+                vec![after(4.0, 1.0), refused],
+            )],
+        );
+        let text = row(&line);
+        assert!(
+            text.contains("| none, refused 1st 0, last 1 of 1 |"),
+            "{text}"
+        );
+        assert!(text.ends_with("| – | – | – | 0 % | – |\n"), "{text}");
     }
 
     #[test]
