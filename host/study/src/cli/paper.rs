@@ -72,7 +72,7 @@ impl Display for SnrWord {
 /// The paper's Tables 1 to 3 with the PINN's presets, least squares, the EKF and the lock-in, on the
 /// behavioural reference load and on the field model; report.md, cells.json and figures.
 ///
-/// Every finished cell is a file in the folder, every training a checkpoint: run it again with the
+/// Every finished cell is a file in the folder, every training a checkpoint: run the same build again with the
 /// same --out and it goes on.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \

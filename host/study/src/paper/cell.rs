@@ -6,12 +6,12 @@ use ihd_identify::accuracy::{Accuracy, fundamental};
 use ihd_identify::network::{identify_half_cycle, with_measured_noise};
 use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_identify::{Estimate, IdentifyOptions, Method, ProgressSink};
-use ihd_pinn::{Identification, PinnConfig, PresetLibrary};
+use ihd_pinn::{Identification, PinnConfig};
 use ihd_signal::Segment;
 use ihd_signal::truth::PeriodTruth;
 
 use super::nmse::{Nmse, unfiltered_itself};
-use super::{Contender, LossAt, PaperCell, PaperJob, PaperStudyError, Point, folder_settings};
+use super::{Contender, LossAt, PaperCell, PaperJob, PaperStudyError, Point, StudyPlace, origin};
 
 /// Limit of stored entries of a loss curve or of R(t).
 const MAX_ENTRIES: usize = 250;
@@ -26,7 +26,7 @@ struct CellEstimate {
 /// Runs one cell on its capture.
 pub(super) fn run(
     job: &PaperJob,
-    presets: &PresetLibrary,
+    place: &StudyPlace<'_>,
     point: &Point,
     checkpoint: &Path,
     progress: &mut dyn FnMut(String),
@@ -36,16 +36,13 @@ pub(super) fn run(
     let nothing = || PaperStudyError::Nothing(stem.clone());
     let noisy = trial.noisy(job.snr_db, job.seed);
     let last = *noisy.half_cycles().last().ok_or_else(nothing)?;
-    let result = match &job.contender {
-        Contender::Other(method) => other(job, *method, point, &noisy, last)?,
+    let (settings, result) = match &job.contender {
+        Contender::Other(method) => (None, other(job, *method, point, &noisy, last)?),
         Contender::Pinn(preset) => {
-            let config = presets.get(preset).map(|named| named.config);
-            let config = config.map_err(|source| PaperStudyError::Pinn {
-                cell: stem.clone(),
-                source,
-            })?;
-            let config = with_measured_noise(configured(job, config), &noisy);
-            network(job, &config, point, &noisy, last, checkpoint, progress)?
+            let config = origin::configured(job, preset, place.presets)?;
+            let own = with_measured_noise(config.clone(), &noisy);
+            let result = network(job, &own, point, &noisy, last, checkpoint, progress)?;
+            (Some(config), result)
         }
     };
     let from_s = noisy.t_s(last.0);
@@ -60,7 +57,8 @@ pub(super) fn run(
     let truth_points = truth_points.map(|(t, (r, l))| (*t, *r, *l));
     Ok(PaperCell {
         job: job.clone(),
-        settings: folder_settings(job, presets),
+        build: place.build.clone(),
+        settings,
         whole: accuracy.whole.into(),
         middle: accuracy.middle.into(),
         describing: describing.map(|a| a.whole.into()),
@@ -84,16 +82,6 @@ pub(super) fn run(
             .map(|_| noise_in_samples(&noisy, &trial.clean, last)),
         losses: identified.map_or(Vec::new(), loss_curve),
     })
-}
-
-fn configured(job: &PaperJob, mut config: PinnConfig) -> PinnConfig {
-    config.seed = job.seed;
-    config.deterministic = true;
-    if config.vi_mlp.is_some() {
-        config.backend = job.backend.unwrap_or(config.backend);
-        config.max_iterations = job.epochs.unwrap_or(config.max_iterations);
-    }
-    config
 }
 
 fn other(

@@ -211,6 +211,7 @@ mod tests {
             l_pct: 0.0,
         };
         PaperCell {
+            build: String::new(),
             job: PaperJob {
                 load: LoadKind::Behavioural,
                 f_sw_hz: 45e3,

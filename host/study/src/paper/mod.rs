@@ -7,6 +7,7 @@ mod figure;
 mod job;
 mod lowpass;
 mod nmse;
+mod origin;
 pub mod report;
 mod waveforms;
 
@@ -61,7 +62,10 @@ impl From<Mre> for PaperErrors {
 pub struct PaperCell {
     /// Job.
     pub job: PaperJob,
-    /// Settings of a preset from a folder, whose file may change between two runs.
+    /// Program that made it.
+    #[serde(default)]
+    pub build: String,
+    /// Settings of its network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub settings: Option<PinnConfig>,
     /// Errors over the last mains half-cycle.
@@ -179,7 +183,14 @@ impl Point {
     }
 }
 
-/// Runs the jobs on all cores; a cell with a file in `folder` is read instead. The result does not depend on the number of cores.
+/// Presets, folder and program of a study.
+struct StudyPlace<'a> {
+    presets: &'a PresetLibrary,
+    folder: &'a Path,
+    build: String,
+}
+
+/// Runs the jobs on all cores; a cell with a file in `folder`, made by the same build with the same settings, is read instead. The result does not depend on the number of cores.
 /// `progress` is called with the number of finished cells and the networks' reports.
 ///
 /// # Errors
@@ -190,9 +201,14 @@ pub fn study(
     folder: &Path,
     progress: &(dyn Fn(usize, &str) + Sync),
 ) -> Result<Vec<PaperCell>, PaperStudyError> {
+    let place = StudyPlace {
+        presets,
+        folder,
+        build: origin::build(),
+    };
     let stored: Vec<Option<PaperCell>> = jobs
         .iter()
-        .map(|job| stored_cell(job, presets, folder))
+        .map(|job| stored_cell(job, &place))
         .collect::<Result<_, _>>()?;
     let missing: Vec<&PaperJob> = jobs
         .iter()
@@ -204,7 +220,7 @@ pub fn study(
     let done = AtomicUsize::new(jobs.len() - missing.len());
     let run = |job: &&PaperJob| {
         let report = |text: String| progress(done.load(Ordering::Relaxed), &text);
-        let cell = run_and_store(job, presets, folder, &points, &report);
+        let cell = run_and_store(job, &place, &points, &report);
         done.fetch_add(1, Ordering::Relaxed);
         report(job.file_stem());
         cell
@@ -229,19 +245,18 @@ fn simulate(jobs: &[&PaperJob]) -> Result<Vec<Point>, PaperStudyError> {
 /// Runs a job and writes its cell's file.
 fn run_and_store(
     job: &PaperJob,
-    presets: &PresetLibrary,
-    folder: &Path,
+    place: &StudyPlace<'_>,
     points: &[Point],
     report: &dyn Fn(String),
 ) -> Result<PaperCell, PaperStudyError> {
     let stem = job.file_stem();
     let point = points.iter().find(|point| point.is_of(job));
     let point = point.ok_or_else(|| PaperStudyError::Nothing(stem.clone()))?;
-    let checkpoint = folder.join(format!("{stem}.bpk"));
-    let cell = cell::run(job, presets, point, &checkpoint, &mut |text| {
+    let checkpoint = place.folder.join(format!("{stem}.bpk"));
+    let cell = cell::run(job, place, point, &checkpoint, &mut |text| {
         report(format!("{stem}: {text}"));
     })?;
-    let path = folder.join(format!("{stem}.json"));
+    let path = place.folder.join(format!("{stem}.json"));
     write(
         &path,
         &serde_json::to_vec(&cell).map_err(|e| broken(&path, &e))?,
@@ -271,29 +286,21 @@ pub fn publish(
     Ok(path)
 }
 
-/// Settings of the job's preset from a folder; `None` if it is built in.
-fn folder_settings(job: &PaperJob, presets: &PresetLibrary) -> Option<PinnConfig> {
-    let Contender::Pinn(name) = &job.contender else {
-        return None;
-    };
-    let from_folder = presets.folder_names().any(|own| own == name);
-    let preset = presets.get(name).ok().filter(|_| from_folder);
-    preset.map(|preset| preset.config)
-}
-
 /// Cell in the folder's file of the job, if there is one.
 fn stored_cell(
     job: &PaperJob,
-    presets: &PresetLibrary,
-    folder: &Path,
+    place: &StudyPlace<'_>,
 ) -> Result<Option<PaperCell>, PaperStudyError> {
-    let path = folder.join(format!("{}.json", job.file_stem()));
+    let path = place.folder.join(format!("{}.json", job.file_stem()));
     if !path.exists() {
         return Ok(None);
     }
     let bytes = fs::read(&path).map_err(|e| broken(&path, &e))?;
     let cell: PaperCell = serde_json::from_slice(&bytes).map_err(|e| broken(&path, &e))?;
-    if cell.settings != folder_settings(job, presets) {
+    if cell.build != place.build {
+        return Err(broken(&path, &"is by another build of ihd-study"));
+    }
+    if cell.settings != origin::settings(job, place.presets)? {
         return Err(broken(&path, &"is of other settings of this preset"));
     }
     Ok(Some(cell))
@@ -319,4 +326,36 @@ fn distinct<I, T: PartialEq>(items: &[&I], of: impl Fn(&I) -> T) -> Vec<T> {
         }
     }
     values
+}
+
+#[cfg(test)]
+mod tests {
+    use super::report::tests::cell;
+    use super::*;
+
+    #[test]
+    fn a_stored_cell_stands_for_its_own_build_and_settings_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = StudyPlace {
+            presets: &PresetLibrary::default(),
+            folder: folder.path(),
+            build: "this one".to_owned(),
+        };
+        let mut stored = cell(1, 2.0);
+        stored.job.contender = Contender::Pinn("hybrid".to_owned());
+        stored.build.clone_from(&place.build);
+        stored.settings = origin::settings(&stored.job, place.presets).unwrap();
+        let read = |cell: &PaperCell| {
+            let path = folder.path().join(format!("{}.json", cell.job.file_stem()));
+            fs::write(path, serde_json::to_vec(cell).unwrap()).unwrap();
+            stored_cell(&cell.job, &place).map_err(|e| e.to_string())
+        };
+        assert_eq!(read(&stored), Ok(Some(stored.clone())));
+        let mut other = stored.clone();
+        other.build.push_str(" of yesterday");
+        assert!(read(&other).unwrap_err().contains("another build"));
+        let mut other = stored.clone();
+        other.settings.as_mut().unwrap().spline_intervals += 1;
+        assert!(read(&other).unwrap_err().contains("other settings"));
+    }
 }
