@@ -17,7 +17,7 @@ const DEFAULT: &str = "least-squares,pinn,lockin,firmware,kf";
 /// Try to fool the identification: sound and faulty captures, and whether what is wrong was said.
 ///
 /// Every capture goes the way of `ihd identify`, without hints. Ends with 1 where a result is wrong without a word, or
-/// more than 2 % of the sound captures are refused.
+/// more than 2 % of the right results of sound captures are refused.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     ihd-study hostile --short\n  \
@@ -84,10 +84,10 @@ impl HostileArgs {
             return Ok(());
         }
         bail!(
-            "goals missed: {} of {} results are wrong without a word (0), {:.1} % of the sound captures are refused (at \
-             most {} %)",
+            "goals missed: {} of {} results are wrong without a word (0), {:.1} % of the right ones of sound captures are \
+             refused (at most {} %)",
             sum.silent,
-            sum.clean + sum.faulty,
+            sum.runs,
             sum.false_refusals_pct(),
             table::FALSE_REFUSALS_PCT
         )

@@ -18,6 +18,8 @@ pub enum CaptureGroup {
     Clean,
     /// Sensing, load or carrier have a defect that can make R and L wrong.
     Faulty,
+    /// Faulty, and no capture can show it: another gain and another capacitor cannot be distinguished.
+    Invisible,
 }
 
 /// Capture of the matrix; its noise has a seed.
@@ -35,8 +37,6 @@ pub struct Case {
     pub damage: Vec<CaptureDamage>,
     /// Value of the resonance capacitor in farad, if the user states it.
     pub capacitance_f: Option<f64>,
-    /// Code of a remark that suffices at any severity, for a defect that no capture can show.
-    pub word: Option<&'static str>,
 }
 
 impl Case {
@@ -48,7 +48,6 @@ impl Case {
             settings,
             damage: Vec::new(),
             capacitance_f: None,
-            word: None,
         }
     }
 
@@ -56,6 +55,22 @@ impl Case {
         Self {
             group: CaptureGroup::Faulty,
             ..Self::clean(name, settings)
+        }
+    }
+
+    pub(super) fn invisible(name: impl Into<String>, settings: CaptureSpec) -> Self {
+        Self {
+            group: CaptureGroup::Invisible,
+            ..Self::clean(name, settings)
+        }
+    }
+
+    /// Number of seeds to run of those asked for: all seeds make the same capture where nothing is random.
+    pub fn seeds(&self, asked: u64) -> u64 {
+        let sensing = &self.settings.sensing;
+        match sensing.snr_db.is_some() || sensing.spikes_per_s > 0.0 {
+            true => asked,
+            false => 1,
         }
     }
 

@@ -10,7 +10,14 @@ use super::damage::CaptureDamage;
 
 /// All cases.
 pub(super) fn all() -> Vec<Case> {
-    let faulty = |name: &str, change: fn(&mut CaptureSpec)| Case::faulty(name, with(change));
+    [skews(), sensors(), loads_and_carriers()].concat()
+}
+
+fn faulty(name: &str, change: impl FnOnce(&mut CaptureSpec)) -> Case {
+    Case::faulty(name, with(change))
+}
+
+fn skews() -> Vec<Case> {
     vec![
         faulty("skew 37 ns, 30 dB", |s| {
             s.sensing.skew_s = 37e-9;
@@ -35,6 +42,11 @@ pub(super) fn all() -> Vec<Case> {
             s.load = LoadKind::Field;
             s.sensing.skew_s = 60e-9;
         }),
+    ]
+}
+
+fn sensors() -> Vec<Case> {
+    vec![
         faulty("probe of 1 MHz, skew -30 ns, 40 dB", |s| {
             s.sensing.i_pole_hz = 1e6;
             s.sensing.skew_s = -30e-9;
@@ -49,6 +61,11 @@ pub(super) fn all() -> Vec<Case> {
             as_device(s);
             s.sensing.i_saturation_a = 120.0;
         }),
+    ]
+}
+
+fn loads_and_carriers() -> Vec<Case> {
+    vec![
         faulty("sweep ±1 kHz at 1 kHz, skew 60 ns", |s| {
             s.sweep = Some(CarrierSweep {
                 deviation_hz: 1e3,

@@ -1,5 +1,5 @@
 //! Study of captures that may mislead `ihd identify`: defects of bench, mains, probes and loads, each processed like by the
-//! command. It judges for each if the result is correct, and if a wrong one is reported.
+//! command. It judges for each if the result is correct, and if a wrong one is reported, or cannot be seen.
 
 mod case;
 mod cases;

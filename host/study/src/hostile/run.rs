@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use ihd_gate::{Examination, ExamineOptions, Reconstruct, examine};
 use ihd_identify::{IdentifyOptions, Method};
-use ihd_signal::{Capture, Remark, Severity};
+use ihd_signal::{Capture, Severity};
 use ihd_sim::inverter::InverterError;
 use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_survey::Hints;
@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::case::{CaptureGroup, Case};
 use super::cases::all;
-use super::score::{CaseTruth, ResultJudgement, StretchErrors, errors};
+use super::score::{CaseTruth, ResultJudgement, StretchErrors, errors, larger};
 use crate::parallel::in_parallel;
 
 /// Plan of the study.
@@ -21,7 +21,7 @@ use crate::parallel::in_parallel;
 pub struct HostilePlan {
     /// Estimators.
     pub methods: Vec<Method>,
-    /// Seeds of the noise; at least one.
+    /// Seeds of the noise, of captures that have some.
     pub seeds: u64,
     /// Part of the names of the cases to run; `None` for all.
     pub only: Option<String>,
@@ -66,7 +66,7 @@ pub struct HostileRun {
     pub codes: Vec<String>,
     /// Worst judgement of the stretches.
     pub judged: ResultJudgement,
-    /// Largest error over σ of a stretch that passed without a finding.
+    /// Largest error over σ of a stretch that passed without a finding, but of a defect that no capture can show.
     #[serde(rename = "unsaid_per_sigma")]
     pub unremarked_per_sigma: Option<f64>,
     /// Reason why there is no estimate, or the first reason of a refusal.
@@ -115,7 +115,7 @@ fn run_case(plan: &HostilePlan, case: &Case) -> Result<Vec<HostileRun>, Inverter
     let recording = record(&case.settings, |_| ())?;
     let truth = CaseTruth::new(&case.settings, &recording.truth);
     let mut runs = Vec::new();
-    for seed in 1..=plan.seeds.max(1) {
+    for seed in 1..=case.seeds(plan.seeds) {
         let capture = capture(case, &recording.with_seed(seed));
         runs.extend(examined(plan, case, seed, &capture, &truth));
     }
@@ -179,7 +179,7 @@ fn examined(
             elapsed_s: 0.0,
         };
         match &examined {
-            Ok(examined) => together(nothing, case, examined, truth),
+            Ok(examined) => together(nothing, examined, truth),
             Err(error) => HostileRun {
                 refused: true,
                 codes: vec!["nothing_to_work_on".to_owned()],
@@ -193,12 +193,7 @@ fn examined(
 }
 
 /// Combines all stretches of a method.
-fn together(
-    mut run: HostileRun,
-    case: &Case,
-    examined: &Examination,
-    truth: &CaseTruth<'_>,
-) -> HostileRun {
+fn together(mut run: HostileRun, examined: &Examination, truth: &CaseTruth<'_>) -> HostileRun {
     let own = |o: &&ihd_gate::MethodResult| o.method == run.method;
     for outcome in examined.outcomes.iter().filter(own) {
         let own_errors = errors(truth, outcome, &examined.segments);
@@ -209,8 +204,7 @@ fn together(
         run.stretches += 1;
         let findings = &outcome.judgement.findings;
         let mut warned = false;
-        let counts = |f: &&Remark| f.severity >= Severity::Warning || Some(f.code) == case.word;
-        for finding in findings.iter().filter(counts) {
+        for finding in findings.iter().filter(|f| f.severity >= Severity::Warning) {
             warned = true;
             if !run.codes.iter().any(|code| code == finding.code) {
                 run.codes.push(finding.code.to_owned());
@@ -218,15 +212,11 @@ fn together(
         }
         let refused = !outcome.judgement.gate.passes() || outcome.result.is_err();
         run.refused |= refused;
-        run.judged = run.judged.max(ResultJudgement::judge(
-            run.group, own_errors, refused, warned,
-        ));
-        if !refused && !warned {
+        let judged = ResultJudgement::judge(run.group, own_errors, refused, warned);
+        run.judged = run.judged.max(judged);
+        if !refused && !warned && judged != ResultJudgement::Invisible {
             let own = own_errors.and_then(|e| e.per_sigma);
-            run.unremarked_per_sigma = match (run.unremarked_per_sigma, own) {
-                (Some(a), Some(b)) => Some(a.max(b)),
-                (a, b) => a.or(b),
-            };
+            run.unremarked_per_sigma = larger(run.unremarked_per_sigma, own);
         }
         run.errors = match (run.errors, own_errors) {
             (Some(a), Some(b)) => Some(a.or_worse(b)),
@@ -281,7 +271,7 @@ mod tests {
     fn no_clean_capture_clips_at_length() {
         for case in plan(false).cases() {
             let s = &case.settings;
-            if case.group == CaptureGroup::Faulty
+            if case.group != CaptureGroup::Clean
                 || s.load == ihd_sim::recording::settings::LoadKind::Field
             {
                 continue;

@@ -44,12 +44,14 @@ impl StretchErrors {
         Self {
             r_pct: self.r_pct.max(other.r_pct),
             l_pct: self.l_pct.max(other.l_pct),
-            per_sigma: match (self.per_sigma, other.per_sigma) {
-                (Some(a), Some(b)) => Some(a.max(b)),
-                (a, b) => a.or(b),
-            },
+            per_sigma: larger(self.per_sigma, other.per_sigma),
         }
     }
+}
+
+/// The larger of both, or the only one.
+pub(super) fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    a.into_iter().chain(b).reduce(f64::max)
 }
 
 /// Judgement of a result.
@@ -66,6 +68,8 @@ pub enum ResultJudgement {
     Careful,
     /// Refused although correct, for a clean capture.
     FalselyRefused,
+    /// Wrong without a finding, and no capture can show it.
+    Invisible,
     /// Wrong without a finding.
     Silent,
 }
@@ -80,6 +84,7 @@ impl ResultJudgement {
     ) -> Self {
         match errors {
             Some(e) if e.exceed() && (refused || warned) => Self::Said,
+            Some(e) if e.exceed() && group == CaptureGroup::Invisible => Self::Invisible,
             Some(e) if e.exceed() => Self::Silent,
             // A clean capture without any estimate counts as refused.
             _ if refused && group == CaptureGroup::Clean => Self::FalselyRefused,
@@ -272,5 +277,9 @@ mod tests {
             ResultJudgement::judge(CaptureGroup::Faulty, right, true, false),
             ResultJudgement::Careful
         );
+        let invisible =
+            |warned| ResultJudgement::judge(CaptureGroup::Invisible, wrong, false, warned);
+        assert_eq!(invisible(false), ResultJudgement::Invisible);
+        assert_eq!(invisible(true), ResultJudgement::Said);
     }
 }

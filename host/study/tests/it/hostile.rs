@@ -50,3 +50,17 @@ fn a_turned_probe_is_corrected_with_a_warning() {
         assert!(run["errors"]["r_pct"].as_f64().expect("an error of R") < 0.3);
     }
 }
+
+/// A gain of the voltage and another capacitor are one: without the capacitor's value nothing can be said, which is counted apart.
+#[test]
+fn a_gain_beside_an_unknown_capacitor_is_wrong_and_cannot_be_seen() {
+    let (code, answer) = study("C unknown");
+    assert_eq!(code, Some(0), "{answer}");
+    let sum = &answer["sum"];
+    assert_eq!((&sum["silent"], &sum["invisible"]), (&0.into(), &2.into()));
+    for run in answer["runs"].as_array().expect("runs") {
+        assert_eq!(run["judged"], "invisible", "{run}");
+        let r_pct = run["errors"]["r_pct"].as_f64().expect("an error of R");
+        assert!((r_pct - 3.0).abs() < 0.2, "{run}");
+    }
+}
