@@ -7,6 +7,7 @@ use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_futures::yield_now;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::sampling::path::SamplingLock;
+use ihd_shared::usb::PACKET;
 use ihd_shared::wire::frame::MAX_ENCODED;
 
 use super::crash;
@@ -66,8 +67,7 @@ pub async fn run(
         sent: 0,
         length: 0,
     };
-    // 64 bytes are a USB packet.
-    let (mut a, mut b) = ([0; 64], [0; 64]);
+    let (mut a, mut b) = ([0; PACKET], [0; PACKET]);
     let mut last_port = LastPort::First;
     let mut block_was_last = false;
     loop {

@@ -3,7 +3,7 @@
 use std::io::{self, ErrorKind, Read, Write};
 use std::time::Duration;
 
-use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
+use ihd_shared::usb::{PRODUCT, PRODUCT_ID, TRANSFER, VENDOR_ID};
 use ihd_signal::printable;
 use nusb::MaybeFuture;
 use nusb::descriptors::TransferType;
@@ -13,10 +13,8 @@ use nusb::transfer::{Bulk, Direction, In, Out};
 use super::transport::SEND_TIMEOUT;
 use super::{LinkError, Transport};
 
-/// Size of a transfer in bytes and number in flight. The device sends packets of less than 64 bytes, each of which ends a transfer;
-/// hence many.
-const TRANSFER: usize = 64;
-const IN_FLIGHT: usize = 64;
+/// Number of transfers in flight, each with room for a frame.
+const IN_FLIGHT: usize = 16;
 
 /// A claimed interface.
 pub struct UsbTransport {
@@ -133,7 +131,7 @@ impl UsbTransport {
             .map_err(|e| failed("", e.into()))?;
         Ok(Self {
             reader: reader.reader(TRANSFER).with_num_transfers(IN_FLIGHT),
-            // Per transfer; a frame has at most seventeen.
+            // Per transfer, thus per frame.
             writer: writer.writer(TRANSFER).with_write_timeout(SEND_TIMEOUT),
             device,
         })

@@ -2,17 +2,18 @@
 //! image's path.
 
 use std::path::PathBuf;
+use std::sync::mpsc;
 use std::time::Duration;
 
 use ihd_link::{Client, Transport};
 use ihd_shared::sampling::ANTI_ALIAS_HZ;
-use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
+use ihd_shared::usb::{PRODUCT, PRODUCT_ID, TRANSFER, VENDOR_ID};
 use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::mains::SimulatedMains;
 use ihd_sim::plant::Plant;
 use ihd_stm32g474::bench::Bench;
-use ihd_stm32g474::usb::{Board, Cable};
+use ihd_stm32g474::usb::{Board, Cable, Request, Status};
 
 /// Board that runs freely, and its cable.
 fn powered() -> (Bench, Cable) {
@@ -85,6 +86,43 @@ fn it_answers_hello_and_streams_windows_without_a_gap() {
         (counters.windows.missing, counters.frames_bad),
         (0, 0),
         "{counters:?}"
+    );
+    is_clean(&bench);
+}
+
+/// Sixteen transfers a frame cost a host sixteen times as much.
+#[test]
+fn a_frame_is_one_transfer() {
+    let (bench, cable) = powered();
+    let board = Board::enumerate(&cable, 5).unwrap();
+    let mut client = Client::connect(Box::new(board.link())).unwrap();
+    client.set_power(1000).unwrap();
+    client.stream(1, 20).unwrap();
+    drop(client);
+    let (sender, transfers) = mpsc::channel();
+    for _ in 0..100 {
+        let request = Request::In {
+            endpoint: 1,
+            length: TRANSFER,
+        };
+        let sender = sender.clone();
+        cable.submit(request, move |outcome| drop(sender.send(outcome)));
+    }
+    drop(sender);
+    let mut longest = 0;
+    // The dropped link may have taken the beginning of the first frame.
+    for outcome in transfers.iter().skip(1) {
+        assert_eq!(outcome.status, Status::Done);
+        // A frame begins and ends with the only two zeros in it.
+        let zeros: Vec<usize> = (0..outcome.data.len())
+            .filter(|k| outcome.data[*k] == 0)
+            .collect();
+        assert_eq!(zeros, [0, outcome.data.len() - 1], "{outcome:?}");
+        longest = longest.max(outcome.data.len());
+    }
+    assert!(
+        longest > 900,
+        "no piece of a window: {longest} bytes at most"
     );
     is_clean(&bench);
 }

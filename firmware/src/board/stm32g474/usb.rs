@@ -6,7 +6,7 @@ use embassy_stm32::usb::{Driver, Endpoint, In, Out};
 use embassy_usb::driver::{Endpoint as _, EndpointIn as _, EndpointOut as _};
 use embassy_usb::msos::{self, windows_version};
 use embassy_usb::{Builder, Config, UsbDevice};
-use ihd_shared::usb::{PRODUCT, PRODUCT_ID, VENDOR_ID};
+use ihd_shared::usb::{PACKET, PRODUCT, PRODUCT_ID, VENDOR_ID};
 use static_cell::StaticCell;
 
 use crate::board::link::{Receive, Send};
@@ -16,9 +16,6 @@ const GUIDS: &[&str] = &["{5A7D8C5E-6C0B-4C57-9F5F-0E6B1C1D4B21}"];
 
 /// bRequest by which Windows asks for its descriptors.
 const VENDOR_CODE: u8 = 0x20;
-
-/// A full-speed bulk packet.
-const PACKET: u16 = 64;
 
 /// The receiving half.
 pub struct Receiver(Endpoint<'static, USB, Out>);
@@ -72,9 +69,9 @@ pub fn start(
     let mut function = builder.function(0xFF, 0, 0);
     let mut interface = function.interface();
     let mut setting = interface.alt_setting(0xFF, 0, 0, None);
-    let receiver = Receiver(setting.endpoint_bulk_out(None, PACKET));
+    let receiver = Receiver(setting.endpoint_bulk_out(None, PACKET as u16));
     let sender = Sender {
-        endpoint: setting.endpoint_bulk_in(None, PACKET),
+        endpoint: setting.endpoint_bulk_in(None, PACKET as u16),
     };
     drop(function);
     (builder.build(), receiver, sender)
@@ -88,11 +85,15 @@ impl Receive for Receiver {
 }
 
 impl Send for Sender {
-    /// One packet, never a full one: the short packet indicates at once that it is all there
-    /// is for now, without a zero-length packet behind a full one.
+    /// Sends one packet. The last one of `bytes` is never full: a short packet ends the host's transfer, without a zero-length
+    /// packet behind a full one.
     async fn send(&mut self, bytes: &[u8]) -> usize {
         self.endpoint.wait_enabled().await;
-        let packet = bytes.get(..usize::from(PACKET) - 1).unwrap_or(bytes);
+        let length = match bytes.len() {
+            PACKET => PACKET - 1,
+            length => length.min(PACKET),
+        };
+        let packet = bytes.get(..length).unwrap_or(bytes);
         match self.endpoint.write(packet).await {
             Ok(()) => packet.len(),
             Err(_) => 0,

@@ -10,7 +10,7 @@ pub trait Function: Send {
     /// Takes bytes from the host; returns `false` if there is no room.
     fn take(&mut self, bytes: &[u8]) -> bool;
 
-    /// Next packet for the host, of less than 64 bytes, if there is one.
+    /// Next packet for the host, if there is one; a short one ends a transfer.
     fn give(&mut self) -> Option<Vec<u8>>;
 
     /// Handles the end of a millisecond.

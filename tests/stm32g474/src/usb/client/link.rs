@@ -6,9 +6,10 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::Duration;
 
 use ihd_link::{LinkError, Transport};
+use ihd_shared::usb::TRANSFER;
 
 use super::super::cable::Cable;
-use super::super::transfer::{Outcome, PACKET, Request, Status};
+use super::super::transfer::{Outcome, Request, Status};
 
 /// Emulated time within which the board must accept sent bytes, as in the host's own transport.
 const SEND_TIMEOUT: Duration = Duration::from_secs(5);
@@ -50,7 +51,7 @@ impl BulkLink {
         let sender = self.sender.clone();
         let request = Request::In {
             endpoint: 1,
-            length: PACKET,
+            length: TRANSFER,
         };
         let id = self
             .cable
