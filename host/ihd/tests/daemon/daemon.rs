@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io;
-use std::net::{SocketAddr, TcpListener};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use ihd_fakes::free_address;
 use serde_json::Value;
 
 use crate::http;
@@ -28,8 +29,7 @@ pub fn configure(
     more: &str,
     devices: &[(String, SocketAddr)],
 ) -> io::Result<SocketAddr> {
-    // A port that was free just now.
-    let address = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
+    let address = free_address();
     let mut text = format!("store = \"store\"\nlisten = \"{address}\"\n{more}\n");
     for (name, at) in devices {
         text += &format!("[[device]]\nname = \"{name}\"\naddress = \"tcp:{at}\"\n");

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use assert_cmd::Command;
+use ihd_fakes::free_address;
 
 /// Text that names a terminal's window, where it reaches one raw.
 const ESCAPES: &str = "\x1b]0;owned\x07";
@@ -207,10 +208,7 @@ fn a_missed_limit_of_a_scenario_is_7_and_named() {
 #[test]
 fn a_device_that_is_not_there_is_3() {
     let dir = tempfile::tempdir().unwrap();
-    // Nobody listens on the port of a socket that was closed.
-    let socket = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = socket.local_addr().unwrap();
-    drop(socket);
+    let address = free_address();
     for args in [
         format!("record --device tcp:{address} --out b.mcap"),
         "record --device serial:/dev/none --out b.mcap".to_owned(),

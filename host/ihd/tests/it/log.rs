@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::thread::{self, JoinHandle};
 
 use ihd_fakes::log_board::Logged;
-use ihd_fakes::{LogBoard, SampleImage, SampleLog};
+use ihd_fakes::{LogBoard, SampleImage, SampleLog, free_address};
 use serde_json::Value;
 
 /// Talks until the host is gone, or, where the cable is `short`, until it has logged.
@@ -188,10 +188,7 @@ fn without_the_image_messages_are_counted_and_it_says_where_it_looked() {
 #[test]
 fn what_is_not_there_is_3_and_what_is_no_device_is_2() {
     let dir = tempfile::tempdir().unwrap();
-    let nowhere = TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap();
+    let nowhere = free_address();
     for (device, code) in [
         (format!("tcp:{nowhere}"), 3),
         ("tpc:x:1".into(), 2),

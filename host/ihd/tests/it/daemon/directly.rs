@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 use std::sync::MutexGuard;
 
-use super::processes::{alone, command, device, free_port, heated, ihd};
+use ihd_fakes::free_address;
+
+use super::processes::{alone, command, device, heated, ihd};
 use crate::process::{Hob, Process};
 
 struct Bench {
@@ -21,8 +23,8 @@ fn bench() -> Bench {
     let dir = tempfile::tempdir().unwrap();
     let config = dir.path().join("ihd.toml");
     let text = format!(
-        "listen = \"127.0.0.1:{}\"\nstore = {:?}\n[[device]]\nname = \"bench\"\naddress = \"{place}\"\n",
-        free_port(),
+        "listen = \"{}\"\nstore = {:?}\n[[device]]\nname = \"bench\"\naddress = \"{place}\"\n",
+        free_address(),
         dir.path().join("store"),
     );
     std::fs::write(&config, text).unwrap();
@@ -167,6 +169,6 @@ fn wrong_usage_exits_with_2_and_nobody_with_3() {
         assert_eq!(code, 2, "{args:?}: {stderr}");
         assert!(stderr.contains(word), "{args:?}: {stderr}");
     }
-    let nobody = format!("tcp:127.0.0.1:{}", free_port());
+    let nobody = format!("tcp:{}", free_address());
     assert_eq!(device(&bench.config, &[&nobody, "status"]).0, 3);
 }

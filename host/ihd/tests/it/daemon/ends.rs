@@ -2,7 +2,9 @@
 
 use std::os::unix::net::UnixDatagram;
 
-use super::processes::{Kitchen, free_port, ihd};
+use ihd_fakes::free_address;
+
+use super::processes::{Kitchen, ihd};
 use crate::process::{PATIENCE, Process};
 
 #[test]
@@ -62,9 +64,9 @@ fn systemd_is_told() {
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
     let config = dir.path().join("ihd.toml");
     let text = format!(
-        "store = {:?}\nlisten = \"127.0.0.1:{}\"\ndiscover_usb = false\n",
+        "store = {:?}\nlisten = \"{}\"\ndiscover_usb = false\n",
         dir.path().join("store"),
-        free_port()
+        free_address()
     );
     std::fs::write(&config, text).unwrap();
     let mut command = ihd();

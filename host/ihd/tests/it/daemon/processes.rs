@@ -1,10 +1,10 @@
 //! A hob, a daemon and commands, each a process; they end with the test.
 
-use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use ihd_fakes::free_address;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -26,12 +26,6 @@ pub fn alone() -> MutexGuard<'static, ()> {
     ONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A port that is free now.
-pub fn free_port() -> u16 {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    listener.local_addr().unwrap().port()
-}
-
 /// A daemon of one hob behind a port, its folder and its configuration.
 pub struct Kitchen {
     pub daemon: Process,
@@ -45,9 +39,9 @@ impl Kitchen {
         let alone = alone();
         let dir = tempfile::tempdir().unwrap();
         let hob = Hob::start();
-        let port = free_port();
+        let listen = free_address();
         let text = format!(
-            "store = {:?}\nlisten = \"127.0.0.1:{port}\"\n\
+            "store = {:?}\nlisten = \"{listen}\"\n\
              [[device]]\nname = \"bench\"\naddress = \"{}\"\n",
             dir.path().join("store"),
             hob.place()

@@ -1,6 +1,8 @@
 //! `ihd watch` on a pseudo-terminal, as a person at the bench has it.
 
-use super::processes::{Kitchen, free_port, ihd, outcome};
+use ihd_fakes::free_address;
+
+use super::processes::{Kitchen, ihd, outcome};
 use super::screen::Screen;
 
 fn watch(kitchen: &Kitchen, more: &[&str]) -> Screen {
@@ -78,7 +80,7 @@ fn without_a_terminal_a_device_or_a_daemon_it_says_what_to_do() {
     assert_eq!(screen.ended(), 1);
 
     let other = kitchen.dir.path().join("other.toml");
-    std::fs::write(&other, format!("listen = \"127.0.0.1:{}\"\n", free_port())).unwrap();
+    std::fs::write(&other, format!("listen = \"{}\"\n", free_address())).unwrap();
     let mut command = ihd();
     command.arg("watch").arg("--config").arg(other);
     let screen = Screen::start(&mut command);

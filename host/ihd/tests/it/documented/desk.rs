@@ -9,7 +9,9 @@ use tempfile::TempDir;
 
 use super::files;
 use super::special::{End, PLAIN, SPECIAL, STAND_INS, Special};
-use crate::daemon::processes::{free_port, heated, ihd, outcome};
+use ihd_fakes::free_address;
+
+use crate::daemon::processes::{heated, ihd, outcome};
 use crate::daemon::screen::Screen;
 use crate::log;
 use crate::process::{Hob, Process};
@@ -47,7 +49,7 @@ impl Desk {
     }
 
     fn configure(&self, devices: &str) {
-        let listen = format!("127.0.0.1:{}", free_port());
+        let listen = free_address();
         let text = format!("store = \"ihd-store\"\nlisten = \"{listen}\"\n{devices}");
         fs::write(self.folder().join("ihd.toml"), text).unwrap();
     }
