@@ -77,6 +77,10 @@ impl Replacement {
             path = path.canonicalize()?;
             permissions = Some(metadata.permissions());
         }
+        // A link to a file that does not exist yet; opening has refused a circle of links.
+        while let Ok(target) = fs::read_link(&path) {
+            path = folder_of(&path).join(target);
+        }
         let (begun, file) = match nameless(folder_of(&path)) {
             Some(file) => {
                 let begun = Self {
@@ -263,6 +267,10 @@ mod tests {
             std::os::unix::fs::symlink("a.csv", &link).unwrap();
             replace(&link, b"newer").unwrap();
             assert_eq!(fs::read(&path).unwrap(), b"newer");
+            fs::remove_file(&path).unwrap();
+            replace(&link, b"first").unwrap();
+            assert!(link.symlink_metadata().unwrap().is_symlink());
+            assert_eq!(fs::read(&path).unwrap(), b"first");
             let null = folder.join("null.csv");
             std::os::unix::fs::symlink("/dev/null", &null).unwrap();
             replace(&null, b"bytes").unwrap();

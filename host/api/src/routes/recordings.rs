@@ -15,7 +15,7 @@ use axum::http::header::{
     ACCEPT_RANGES, CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE,
     ETAG, IF_RANGE, RANGE, X_CONTENT_TYPE_OPTIONS,
 };
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use http_range_header::parse_range_header;
 use ihd_daemon::recording::{RecordingExportError, RecordingTable, is_plain_name, table};
@@ -36,6 +36,9 @@ const CHUNK: usize = 1 << 17;
 
 /// Maximum number of chunks that wait for the socket.
 const CHUNKS: usize = 2;
+
+/// Header of a table: number of damaged records of the recording that it lacks.
+const DAMAGED_RECORDS: HeaderName = HeaderName::from_static("ihd-damaged-records");
 
 const BYTES: &str = "application/octet-stream";
 const CSV: &str = "text/csv; charset=utf-8";
@@ -79,7 +82,8 @@ pub(super) struct RecordingParameters {
 /// Downloads a recording; of an active one, the part on disk. MCAP files support `Range` and `If-Range`, so that an interrupted download
 /// can be resumed.
 ///
-/// Times in tables are relative to the trigger. CSV has the columns `time_s,v_V,i_A,window`.
+/// Times in tables are relative to the trigger. CSV has the columns `time_s,v_V,i_A,window`. The table of a damaged recording lacks the
+/// damaged parts: its name ends with `.damaged` before the ending, and its header `ihd-damaged-records` counts them.
 #[utoipa::path(get, path = "/recordings/{file}", operation_id = "recording", tag = "recordings",
     params(("file" = String, Path, description = "Name of the recording"), RecordingParameters),
     responses((status = 200, description = "The file", content_type = "application/octet-stream", body = Vec<u8>),
@@ -106,21 +110,18 @@ pub(super) async fn one(
         return Err(unknown(&name));
     }
     let stem = name.strip_suffix(".mcap").unwrap_or(&name);
-    let (kind, name, table) = match parameters.format {
-        Format::Mcap => (BYTES, name.clone(), None),
-        Format::Csv => (CSV, format!("{stem}.csv"), Some(RecordingTable::Samples)),
-        Format::HalfCycles => (
-            CSV,
-            format!("{stem}.half-cycles.csv"),
-            Some(RecordingTable::HalfCycles),
-        ),
-        Format::Npz => (BYTES, format!("{stem}.npz"), Some(RecordingTable::Arrays)),
+    let (kind, ending, table) = match parameters.format {
+        Format::Mcap => (BYTES, "mcap", None),
+        Format::Csv => (CSV, "csv", Some(RecordingTable::Samples)),
+        Format::HalfCycles => (CSV, "half-cycles.csv", Some(RecordingTable::HalfCycles)),
+        Format::Npz => (BYTES, "npz", Some(RecordingTable::Arrays)),
     };
     let is_stored_file = table.is_none();
-    let file = match table {
-        None => blocking(move || File::open(path))
-            .await
-            .map_err(|e| unreadable(&e))?,
+    let (file, damaged_records) = match table {
+        None => {
+            let opened = blocking(move || File::open(path)).await;
+            (opened.map_err(|e| unreadable(&e))?, 0)
+        }
         Some(which) => converted(path, which).await?,
     };
     let metadata = file.metadata().map_err(|e| unreadable(&e))?;
@@ -136,10 +137,14 @@ pub(super) async fn one(
         // A table is generated for each request.
         false => None,
     };
-    let disposition = format!("attachment; filename=\"{name}\"");
+    let mark = if damaged_records > 0 { ".damaged" } else { "" };
+    let disposition = format!("attachment; filename=\"{stem}{mark}.{ending}\"");
     // Cannot fail: a plain name is valid in a header.
     let disposition = HeaderValue::from_str(&disposition).map_err(|_| unknown(&name))?;
     headers.insert(CONTENT_DISPOSITION, disposition);
+    if damaged_records > 0 {
+        headers.insert(DAMAGED_RECORDS, damaged_records.into());
+    }
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
@@ -258,8 +263,8 @@ impl Drop for StopOnDrop {
     }
 }
 
-/// Converts a recording to a table, in a temporary file.
-async fn converted(path: PathBuf, which: RecordingTable) -> Result<File, ErrorResponse> {
+/// Converts a recording to a table, in a temporary file; returns it with the number of damaged records that it lacks.
+async fn converted(path: PathBuf, which: RecordingTable) -> Result<(File, u32), ErrorResponse> {
     let permit = CONVERSIONS.try_acquire().map_err(|_| {
         ErrorResponse::new(
             StatusCode::SERVICE_UNAVAILABLE,
@@ -274,7 +279,7 @@ async fn converted(path: PathBuf, which: RecordingTable) -> Result<File, ErrorRe
         table(&path, which, &stop)
     });
     match converting.await {
-        Ok(Ok(file)) => Ok(file),
+        Ok(Ok((file, losses))) => Ok((file, losses.damaged)),
         Ok(Err(error)) => Err(conversion_error(&error)),
         Err(panicked) => Err(unreadable(&panicked.into())),
     }

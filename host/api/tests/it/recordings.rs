@@ -21,6 +21,10 @@ const NAME: &str = "bench-2026-11-22T08-30-00.123.mcap";
 
 /// Records half a second of a simulated hob into the server's folder.
 fn recorded(server: &Running, power_w: u16) -> PathBuf {
+    recorded_for(server, power_w, Duration::from_millis(500))
+}
+
+fn recorded_for(server: &Running, power_w: u16, duration: Duration) -> PathBuf {
     let hob = SharedHob::new(SimHob::new(&HobConfig::default()));
     let mut client = Client::connect(Box::new(hob)).unwrap();
     client.set_power(power_w).unwrap();
@@ -28,7 +32,7 @@ fn recorded(server: &Running, power_w: u16) -> PathBuf {
     let path = server.recordings().join(NAME);
     let recorder = SessionRecorder::create(&path, client.hello(), client.front_end()).unwrap();
     client.record_to(recorder);
-    let until = client.clock() + Duration::from_millis(500);
+    let until = client.clock() + duration;
     while client.clock() < until {
         client.next_event(until - client.clock()).unwrap();
     }
@@ -164,6 +168,28 @@ fn tables_hold_what_the_file_holds() {
     assert!(lines.abs_diff(51) < 5, "{lines}");
     // Nothing is left beside the recordings.
     assert_eq!(fs::read_dir(server.recordings()).unwrap().count(), 1);
+}
+
+#[test]
+fn a_table_of_a_damaged_recording_says_so() {
+    let server = Running::start();
+    // Several chunks, of which one is damaged.
+    let path = recorded_for(&server, 1_000, Duration::from_millis(1_500));
+    let mut bytes = fs::read(&path).unwrap();
+    let (all, whole) = get(&server, &format!("/api/v1/recordings/{NAME}?format=csv"));
+    assert_eq!(header(&all, "ihd-damaged-records"), None);
+    let middle = bytes.len() / 2;
+    bytes[middle..middle + 3].iter_mut().for_each(|b| *b = !*b);
+    fs::write(&path, bytes).unwrap();
+    for (format, ending) in [("csv", ".damaged.csv"), ("npz", ".damaged.npz")] {
+        let (head, body) = get(
+            &server,
+            &format!("/api/v1/recordings/{NAME}?format={format}"),
+        );
+        assert_eq!(header(&head, "ihd-damaged-records"), Some("1"), "{head}");
+        assert!(head.contains(&format!("{ending}\"")), "{head}");
+        assert!(format != "csv" || body.len() < whole.len());
+    }
 }
 
 #[test]

@@ -21,7 +21,8 @@ const GROUP: usize = 1 << 18;
 const SCHEMA: &str =
     "message capture { required double time_s; required float v_V; required float i_A; }";
 
-/// Writes time, voltage and current; mains and switching frequency become metadata.
+/// Writes time, voltage and current; mains, full scales and the steps of the switching frequency (`f_sw`, pairs of s and Hz in JSON)
+/// become metadata.
 ///
 /// # Errors
 /// What the operating system or the library reports.
@@ -43,6 +44,11 @@ pub fn write(
     ];
     for (key, value) in numbers {
         metadata.extend(value.map(|x| KeyValue::new(key.to_owned(), x.to_string())));
+    }
+    if !capture.f_sw.is_empty() {
+        let steps: Vec<_> = capture.f_sw.iter().map(|s| [s.t_s, s.f_sw_hz]).collect();
+        let text = serde_json::to_string(&steps).map_err(|e| ParquetError::External(e.into()))?;
+        metadata.push(KeyValue::new("f_sw".to_owned(), text));
     }
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)

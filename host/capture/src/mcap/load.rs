@@ -32,7 +32,7 @@ impl FileLosses {
         *self == Self::default()
     }
 
-    pub(super) fn take(&mut self, damage: &McapFileError) {
+    pub(crate) fn take(&mut self, damage: &McapFileError) {
         self.damaged = self.damaged.saturating_add(1);
         self.first_damage.get_or_insert_with(|| damage.to_string());
     }

@@ -254,10 +254,31 @@ fn limits_hold_and_a_cut_file_gives_what_is_whole() {
     let lines = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
         let mut text = Vec::new();
-        samples_csv(&path, &mut text, &generous(&NEVER)).unwrap();
-        text.iter().filter(|b| **b == b'\n').count()
+        let losses = samples_csv(&path, &mut text, &generous(&NEVER)).unwrap();
+        (text.iter().filter(|b| **b == b'\n').count(), losses)
     };
-    let all = lines(&whole);
-    let some = lines(&whole[..whole.len() * 2 / 3]);
+    let (all, nothing) = lines(&whole);
+    assert!(nothing.is_none(), "{nothing}");
+    let (some, cut) = lines(&whole[..whole.len() * 2 / 3]);
     assert!(some > 1_000 && some < all, "{some} of {all}");
+    assert!(cut.cut_at.is_some() && cut.damaged == 0, "{cut}");
+    let mut spoilt = whole.clone();
+    let middle = whole.len() / 2;
+    spoilt[middle..middle + 3].iter_mut().for_each(|b| *b = !*b);
+    let (some, damage) = lines(&spoilt);
+    assert!(some < all && damage.damaged == 1, "{damage}");
+    // The arrays carry the losses along.
+    let packed = dir.path().join("damaged.npz");
+    recording_npz(
+        &path,
+        File::create(&packed).unwrap(),
+        &spool,
+        &generous(&NEVER),
+    )
+    .unwrap();
+    let mut archive = zip::ZipArchive::new(File::open(&packed).unwrap()).unwrap();
+    let mut notes = String::new();
+    let mut member = archive.by_name("metadata.json").unwrap();
+    member.read_to_string(&mut notes).unwrap();
+    assert!(notes.contains("1 damaged records"), "{notes}");
 }

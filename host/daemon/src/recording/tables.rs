@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use ihd_capture::exports::recording::{
     ExportLimits, RecordingExportError, half_cycles_csv, recording_npz, samples_csv,
 };
+use ihd_capture::mcap::FileLosses;
 
 /// Largest table, in bytes: half an hour of a heating hob.
 const MAX_BYTES: u64 = 2_000_000_000;
@@ -31,7 +32,7 @@ pub enum RecordingTable {
 }
 
 /// Exports a recording, also an incomplete one, as a table. The table is an unnamed file in the recording's folder (the folder for
-/// temporary files may be memory), deleted with its last reader.
+/// temporary files may be memory), deleted with its last reader. Returns it with what of the recording was lost.
 ///
 /// Blocks and uses one core for up to minutes. Ends early once `stop` is `true`.
 ///
@@ -41,7 +42,7 @@ pub fn table(
     recording: &Path,
     which: RecordingTable,
     stop: &AtomicBool,
-) -> Result<File, RecordingExportError> {
+) -> Result<(File, FileLosses), RecordingExportError> {
     let folder = recording.parent().unwrap_or(Path::new("."));
     let spool = || tempfile::tempfile_in(folder);
     let limits = ExportLimits {
@@ -52,11 +53,11 @@ pub fn table(
     let mut file = spool()?;
     let out = file.try_clone()?;
     let buffered = |out| BufWriter::with_capacity(BUFFER, out);
-    match which {
+    let losses = match which {
         RecordingTable::Samples => samples_csv(recording, buffered(out), &limits)?,
         RecordingTable::HalfCycles => half_cycles_csv(recording, buffered(out), &limits)?,
         RecordingTable::Arrays => recording_npz(recording, out, &spool, &limits)?,
-    }
+    };
     file.rewind()?;
-    Ok(file)
+    Ok((file, losses))
 }

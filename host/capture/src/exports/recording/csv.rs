@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::{ByteBudget, ExportLimits, RecordingExportError, Row, nothing, rows};
+use crate::mcap::FileLosses;
 use crate::mcap::topics::Telemetry;
 
 /// Heading of the samples; the last column is the device's number of the window.
@@ -14,7 +15,7 @@ const SAMPLES: &str = "time_s,v_V,i_A,window\n";
 const HALF_CYCLES: &str = "time_s,half_cycle,state,pot,fault,limit,asked_W,power_W,f_sw_Hz,i_crest_A,R_ohm,L_H,\
     phase_deg,bus_peak_V,v_coil_peak_V,i_turn_off_min_A,lookup_version\n";
 
-/// Writes the samples of all windows in sequence: time, voltage, current, number of the window.
+/// Writes the samples of all windows in sequence: time, voltage, current, number of the window. Returns what of the recording was lost.
 ///
 /// # Errors
 /// [`RecordingExportError`]; what was written until then is no table.
@@ -22,11 +23,11 @@ pub fn samples_csv(
     path: &Path,
     mut out: impl Write,
     limits: &ExportLimits<'_>,
-) -> Result<(), RecordingExportError> {
+) -> Result<FileLosses, RecordingExportError> {
     let mut budget = ByteBudget::from_limits(limits);
     let mut windows = 0;
     let mut text = String::from(SAMPLES);
-    rows(path, limits, &mut |row| {
+    let losses = rows(path, limits, &mut |row| {
         let Row::Window(number, _, _, pairs) = row else {
             return Ok(());
         };
@@ -43,10 +44,11 @@ pub fn samples_csv(
         let hint = "without heating there are none; half-cycles and the MCAP file have the rest";
         return Err(nothing(path, "window of samples", hint));
     }
-    Ok(out.flush()?)
+    out.flush()?;
+    Ok(losses)
 }
 
-/// Writes one line per half-cycle: the device's telemetry.
+/// Writes one line per half-cycle: the device's telemetry. Returns what of the recording was lost.
 ///
 /// # Errors
 /// Any error of [`samples_csv`].
@@ -54,11 +56,11 @@ pub fn half_cycles_csv(
     path: &Path,
     mut out: impl Write,
     limits: &ExportLimits<'_>,
-) -> Result<(), RecordingExportError> {
+) -> Result<FileLosses, RecordingExportError> {
     let mut budget = ByteBudget::from_limits(limits);
     let mut count = 0;
     budget.write(&mut out, HALF_CYCLES.as_bytes())?;
-    rows(path, limits, &mut |row| {
+    let losses = rows(path, limits, &mut |row| {
         let Row::HalfCycle(t_s, t) = row else {
             return Ok(());
         };
@@ -72,7 +74,8 @@ pub fn half_cycles_csv(
             "the MCAP file has what it holds",
         ));
     }
-    Ok(out.flush()?)
+    out.flush()?;
+    Ok(losses)
 }
 
 fn line(t_s: f64, t: &Telemetry) -> String {

@@ -14,7 +14,7 @@ use std::time::Instant;
 use crate::mcap::cdr::{SamplesMessage, read_samples};
 use crate::mcap::reader::{McapItem, McapMessage};
 use crate::mcap::topics::{FaultNote, META_FREE, Telemetry, Topic, WholeWindow, WindowNote};
-use crate::mcap::{McapFileError, McapReader};
+use crate::mcap::{FileLosses, McapFileError, McapReader};
 
 pub use csv::{half_cycles_csv, samples_csv};
 pub use npz::recording_npz;
@@ -85,14 +85,15 @@ enum Row<'a> {
 
 type EachRow<'a> = &'a mut dyn FnMut(Row<'_>) -> Result<(), RecordingExportError>;
 
-/// Reads a recording; damaged parts are skipped.
+/// Reads a recording; damaged parts are skipped. Returns what was lost.
 fn rows(
     path: &Path,
     limits: &ExportLimits<'_>,
     each: EachRow<'_>,
-) -> Result<(), RecordingExportError> {
+) -> Result<FileLosses, RecordingExportError> {
     let mut reader = McapReader::open(path)?;
     let mut table = Rows::default();
+    let mut losses = FileLosses::default();
     loop {
         if limits.stop.load(Ordering::Relaxed) {
             return Err(RecordingExportError::Stopped);
@@ -100,21 +101,37 @@ fn rows(
         if Instant::now() > limits.until {
             return Err(RecordingExportError::TooLong);
         }
-        match reader.next_item() {
-            Ok(None) => return Ok(()),
+        let damage = match reader.next_item() {
+            Ok(None) => break,
             Ok(Some(McapItem::Metadata { name, entries })) if name == META_FREE => {
                 let trigger_s = entries.get(TRIGGER_S).and_then(|s| s.parse().ok());
                 table.trigger_s = trigger_s.filter(|s: &f64| s.is_finite()).unwrap_or(0.0);
                 each(Row::Notes(&entries))?;
+                None
             }
-            Ok(Some(McapItem::Metadata { .. })) => {}
-            Ok(Some(McapItem::Message(message))) => table.take(&message, each)?,
-            // A window cut by the damage is dropped.
-            Err(damage) if damage.is_damage() => table.pairs.clear(),
+            Ok(Some(McapItem::Metadata { .. })) => None,
+            Ok(Some(McapItem::Message(message))) => match table.take(&message, each)? {
+                Ok(()) => None,
+                Err(what) => {
+                    let what = format!("a message of {}: {what}", message.topic.name());
+                    Some(reader.damaged(what))
+                }
+            },
+            Err(damage) if damage.is_damage() => Some(damage),
             Err(other) => return Err(other.into()),
+        };
+        if let Some(damage) = damage {
+            // A window cut by the damage is dropped.
+            table.pairs.clear();
+            losses.take(&damage);
         }
     }
+    losses.cut_at = reader.is_cut().then(|| reader.at());
+    Ok(losses)
 }
+
+/// Result of reading a message; the error describes the damage.
+type Parsed<T> = Result<T, String>;
 
 #[derive(Default)]
 struct Rows {
@@ -124,56 +141,56 @@ struct Rows {
 }
 
 impl Rows {
-    fn take(&mut self, m: &McapMessage<'_>, each: EachRow<'_>) -> Result<(), RecordingExportError> {
+    fn take(
+        &mut self,
+        m: &McapMessage<'_>,
+        each: EachRow<'_>,
+    ) -> Result<Parsed<()>, RecordingExportError> {
         let t_s = m.log_time_ns as f64 * 1e-9 - self.trigger_s;
-        match m.topic {
-            Topic::Samples => {
-                if let Ok(samples) = read_samples(m.data, m.as_codes)
-                    && self.pairs.len() + samples.len() <= MAX_PAIRS
-                {
-                    self.samples(&samples);
-                }
-            }
-            Topic::Window => {
-                let note: Option<WindowNote> = parsed(m);
-                if let Some(WindowNote {
+        let row = match m.topic {
+            Topic::Samples => return Ok(self.samples(m)),
+            Topic::Window => match parsed(m) {
+                Ok(WindowNote {
                     seq,
                     whole: Some(whole),
                     ..
-                }) = note
-                {
+                }) => {
                     let begins_s = whole.zero_crossing_s - self.trigger_s;
                     each(Row::Window(seq, begins_s, Box::new(whole), &self.pairs))?;
                     self.pairs.clear();
+                    return Ok(Ok(()));
                 }
-            }
-            Topic::Telemetry => {
-                if let Some(half_cycle) = parsed(m) {
-                    each(Row::HalfCycle(t_s, half_cycle))?;
-                }
-            }
-            Topic::Fault => {
-                if let Some(fault) = parsed(m) {
-                    each(Row::Fault(t_s, fault))?;
-                }
-            }
-            _ => {}
+                Ok(_) => return Ok(Ok(())),
+                Err(what) => Err(what),
+            },
+            Topic::Telemetry => parsed(m).map(|half_cycle| Row::HalfCycle(t_s, half_cycle)),
+            Topic::Fault => parsed(m).map(|fault| Row::Fault(t_s, fault)),
+            _ => return Ok(Ok(())),
+        };
+        match row {
+            Ok(row) => each(row).map(Ok),
+            Err(what) => Ok(Err(what)),
         }
-        Ok(())
     }
 
-    fn samples(&mut self, samples: &SamplesMessage) {
+    fn samples(&mut self, m: &McapMessage<'_>) -> Parsed<()> {
+        let samples: SamplesMessage =
+            read_samples(m.data, m.as_codes).map_err(|e| e.to_string())?;
+        if self.pairs.len() + samples.len() > MAX_PAIRS {
+            return Err(format!("no window's end after {MAX_PAIRS} pairs"));
+        }
         let [mut v_v, mut i_a] = [const { Vec::new() }; 2];
         samples.append_to([&mut v_v, &mut i_a]);
         let pairs = v_v.into_iter().zip(i_a).enumerate();
         let timed = pairs.map(|(k, (v, i))| (samples.at(k) - self.trigger_s, v, i));
         self.pairs.extend(timed);
+        Ok(())
     }
 }
 
-/// Parses a JSON message; `None` if it is damaged, and thus skipped.
-fn parsed<T: serde::de::DeserializeOwned>(m: &McapMessage<'_>) -> Option<T> {
-    serde_json::from_slice(m.data).ok()
+/// Parses a JSON message.
+fn parsed<T: serde::de::DeserializeOwned>(m: &McapMessage<'_>) -> Parsed<T> {
+    serde_json::from_slice(m.data).map_err(|e| e.to_string())
 }
 
 /// Bytes that an export may still write.

@@ -9,6 +9,7 @@ use ihd_shared::fault::Fault;
 
 use super::super::npz::Archive;
 use super::{ByteBudget, ExportLimits, RecordingExportError, Row, nothing, rows};
+use crate::mcap::FileLosses;
 use crate::mcap::topics::{Telemetry, WholeWindow};
 
 /// Room for a text: the name of a state or of a fault.
@@ -25,10 +26,13 @@ const _: () = {
 /// NumPy's type of a text of [`WORD`] characters.
 const WORDS: &str = "<U24";
 
+/// Name of the note that says what of a recording was lost.
+const LOSSES: &str = "losses";
+
 /// Creates a temporary file for an array whose length is not known yet.
 pub type Spool<'a> = &'a dyn Fn() -> io::Result<File>;
 
-/// Writes a recording as arrays.
+/// Writes a recording as arrays, and what of it was lost as a note. Returns the losses.
 ///
 /// # Errors
 /// [`RecordingExportError`]; what was written until then is no archive.
@@ -37,14 +41,14 @@ pub fn recording_npz(
     out: File,
     spool: Spool<'_>,
     limits: &ExportLimits<'_>,
-) -> Result<(), RecordingExportError> {
+) -> Result<FileLosses, RecordingExportError> {
     let mut arrays = Arrays {
         spool,
         columns: Vec::new(),
         budget: ByteBudget::from_limits(limits),
         notes: BTreeMap::new(),
     };
-    rows(path, limits, &mut |row| arrays.take(row))?;
+    let losses = rows(path, limits, &mut |row| arrays.take(row))?;
     if arrays.columns.is_empty() {
         return Err(nothing(
             path,
@@ -52,7 +56,11 @@ pub fn recording_npz(
             "the MCAP file has what it holds",
         ));
     }
-    Ok(arrays.pack(out)?)
+    if !losses.is_none() {
+        arrays.notes.insert(LOSSES.into(), losses.to_string());
+    }
+    arrays.pack(out)?;
+    Ok(losses)
 }
 
 /// Column of numbers of one type, whose length is not known yet.

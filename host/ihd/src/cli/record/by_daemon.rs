@@ -30,6 +30,12 @@ pub(super) fn record(
 ) -> Result<()> {
     if let Some(out) = out {
         ensure_usage!(!out.exists(), "{} is there already", out.display());
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+        ensure_usage!(
+            folder.is_none_or(Path::is_dir),
+            "{}: its folder does not exist",
+            out.display()
+        );
     }
     let stop = interrupt::flag().context("cannot catch ^C")?;
     let before: BTreeSet<String> = files(client, name)?.into_iter().map(|f| f.0).collect();

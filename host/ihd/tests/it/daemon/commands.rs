@@ -230,6 +230,17 @@ fn a_recording_through_the_daemon_can_be_inspected() {
         out.to_str().unwrap(),
     ]);
     assert_eq!(code, 2, "{stderr}");
+    let nowhere = kitchen.dir.path().join("nowhere/a.mcap");
+    let nowhere = [
+        "record",
+        "--device",
+        "bench",
+        "--out",
+        nowhere.to_str().unwrap(),
+    ];
+    let (code, _, stderr) = kitchen.command(&nowhere);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("its folder does not exist"), "{stderr}");
     let (code, _, stderr) = kitchen.command(&["record", "--device", "bench", "--power", "900"]);
     assert_eq!(code, 2, "{stderr}");
     assert!(stderr.contains("--power"), "{stderr}");
