@@ -65,7 +65,7 @@ impl Claim {
             Standing::Unknown => ClaimVerdict::MustClaim,
             Standing::Held | Standing::Refused(_) => {
                 ClaimVerdict::Stands(Standing::Refused(format!(
-                    "the edge name {edge:?} was taken along to {other}, by a copy of {mine} that started later: stop one of the two"
+                    "the edge name {edge:?} was taken along to {other}, by a copy of {mine} that started later: stop the other daemon, then start this one again"
                 )))
             }
         }

@@ -16,8 +16,11 @@ pub struct LookupMessage {
     pub version: u32,
     /// Author: the edge whose hob uses it, or the operator who requests it.
     pub by: String,
-    /// `true` if the hob uses it, `false` if it is requested.
+    /// `true` if the hob uses it, `false` if it is or was requested.
     pub in_use: bool,
+    /// Reason for which the edge refused the request.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
     /// Time in milliseconds since 1970, UTC.
     pub at_ms: i64,
     /// Serialised lookup, in hexadecimal digits.
@@ -32,9 +35,15 @@ impl LookupMessage {
             version: lookup.version,
             by: by.to_owned(),
             in_use,
+            refused: None,
             at_ms: now_ms(),
             blob: bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
         }
+    }
+
+    /// Returns `true` for a request that its edge has not settled.
+    pub fn is_request(&self) -> bool {
+        !self.in_use && self.refused.is_none()
     }
 
     /// Returns the serialised lookup.

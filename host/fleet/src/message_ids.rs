@@ -26,9 +26,10 @@ impl MessageIds {
         format!("{name}-{code}")
     }
 
-    /// Returns the id of an event: `EDGE-event-NUMBER-CODE`. A new store, which counts from the beginning, has other codes.
-    pub fn event_id(&self, edge: &str, number: i64) -> String {
-        let name = format!("{edge}-event-{number}");
+    /// Returns the id of an event: `EDGE-event-NUMBER-TIME-CODE`. A new store, which counts from the beginning, has other codes; one from a
+    /// backup counts on from it, at other times.
+    pub fn event_id(&self, edge: &str, number: i64, at_ms: i64) -> String {
+        let name = format!("{edge}-event-{number}-{at_ms}");
         let code = self.code(&name);
         format!("{name}-{code}")
     }
@@ -83,10 +84,15 @@ mod tests {
     #[test]
     fn an_event_of_a_new_store_is_no_duplicate_of_the_former_stores() {
         let (a, b) = (MessageIds::new([1; 16]), MessageIds::new([2; 16]));
-        let number = a.event_id("lab-2", 1);
+        let number = a.event_id("lab-2", 1, 5);
         assert!(number.starts_with("lab-2-event-1-"), "{number}");
-        assert_ne!(number, b.event_id("lab-2", 1));
-        assert_ne!(number, a.event_id("lab-2", 2));
+        assert_ne!(number, b.event_id("lab-2", 1, 5));
+        assert_ne!(number, a.event_id("lab-2", 2, 5));
+        assert_ne!(
+            number,
+            a.event_id("lab-2", 1, 6),
+            "counted again, from a backup"
+        );
     }
 
     #[test]

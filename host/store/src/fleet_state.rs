@@ -47,7 +47,7 @@ pub enum FleetState {
 /// Reason for which a window was given up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GiveUpReason {
-    /// Its samples were deleted before it was sent.
+    /// Its samples were deleted before it was sent, or answered.
     NoSamples,
     /// No worker could identify it, or it cannot be read.
     Dead,

@@ -196,7 +196,7 @@ impl Store {
         }
     }
 
-    /// Reports, for each day, the windows whose samples were deleted before the fleet had them.
+    /// Reports, for each day, the windows whose samples were deleted before the fleet had answered.
     fn report_thinned_lost_to_fleet(&mut self) -> Result<(), StoreError> {
         for (day, lost) in std::mem::take(&mut self.lost_to_fleet) {
             self.report_lost(&day, lost)?;
@@ -205,8 +205,9 @@ impl Store {
     }
 
     fn report_lost(&mut self, day: &str, lost: u64) -> Result<(), StoreError> {
-        let text =
-            format!("{lost} windows of {day} that the fleet had not got are deleted: retention");
+        let text = format!(
+            "{lost} windows of {day} that the fleet had not answered are deleted: retention"
+        );
         tracing::warn!("{text}");
         self.event(None, "store", &text)
     }

@@ -146,9 +146,9 @@ impl Store {
         for window in windows {
             let (identified, has_result) = self.identified(window)?;
             if !cursor.pass(window, identified) {
-                let never_sent = window.is_due && !has_result;
-                lost += u64::from(never_sent);
-                gone.push((window, never_sent));
+                let is_given_up = window.is_unanswered && !has_result;
+                lost += u64::from(is_given_up);
+                gone.push((window, is_given_up));
             }
         }
         day.thin(&gone, SampleDropReason::Thinned, self.now())?;

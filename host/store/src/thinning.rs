@@ -28,8 +28,8 @@ pub(crate) struct Candidate {
     pub(crate) boot: u32,
     pub(crate) seq: u32,
     pub(crate) at_ms: i64,
-    /// `true` if a fleet has not got it yet.
-    pub(crate) is_due: bool,
+    /// `true` if it is to be sent to a fleet, or waits for its answer.
+    pub(crate) is_unanswered: bool,
 }
 
 /// R and L of a window, with their standard deviations.
@@ -105,7 +105,8 @@ impl Cursor {
         let keeps = match self.tier {
             Tier::Changes => match (identified, before.and_then(|last| last.identified)) {
                 (Some(now), Some(before)) => now.differs(&before),
-                (now, _) => now.is_some(),
+                // The answer needs the samples.
+                (now, _) => now.is_some() || window.is_unanswered,
             },
             Tier::Minutes => before.is_none_or(|last| last.minute != minute),
             Tier::Nothing => false,
@@ -145,7 +146,7 @@ mod tests {
             boot: 1,
             seq: id as u32,
             at_ms: id * 20_000,
-            is_due: false,
+            is_unanswered: false,
         }
     }
 
@@ -177,7 +178,12 @@ mod tests {
             ..identified(2.031, l * 1.006).unwrap()
         };
         assert!(keeps(9, "a", Some(without)));
-        assert_eq!(cursor.after, 9);
+        let unanswered = Candidate {
+            is_unanswered: true,
+            ..window(10, "a")
+        };
+        assert!(cursor.pass(&unanswered, None), "its answer needs it");
+        assert_eq!(cursor.after, 10);
     }
 
     #[test]

@@ -8,6 +8,7 @@ use ihd_signal::truth::Truth;
 use ihd_store::{CurveSource, DeviceId, InsertOutcome, SessionId, Store, StoreError};
 
 use super::session::{DeviceSession, StoredIds};
+use crate::config::is_name;
 use crate::device_record::DeviceRecord;
 use crate::fleet::delegation::Delegation;
 use crate::learning::{LearnInput, LearnJob, Learner, truth_curve};
@@ -46,7 +47,8 @@ impl WindowRoute {
             power_w,
             truth,
         } = arrived;
-        let for_fleet = is_learnable && self.delegation.is_edge;
+        // The fleet knows hobs by names of the configuration; a board that was plugged in has none.
+        let for_fleet = is_learnable && self.delegation.is_edge && is_name(&self.record.name);
         let stored = store.keep_window_for(self.session, &window, for_fleet);
         self.count(match &stored {
             Ok((InsertOutcome::New, _)) => WindowCounter::Stored,

@@ -44,6 +44,8 @@ pub enum ReceiveOutcome {
     Foreign,
     /// The store has no such window, or the window was never sent to the fleet.
     Unrequested,
+    /// The window's samples were deleted meanwhile, without which no answer is checked.
+    TooLate,
 }
 
 /// Result of the check of a lookup against a hob's own windows.
@@ -389,15 +391,17 @@ impl FleetAccess {
                 Some(FleetState::Answered | FleetState::LearnedHere) => {
                     return Ok(Err(ReceiveOutcome::Duplicate));
                 }
-                Some(FleetState::NotForFleet | FleetState::GivenUp(GiveUpReason::NoSamples))
-                | None => {
+                Some(FleetState::NotForFleet) | None => {
                     return Ok(Err(ReceiveOutcome::Unrequested));
+                }
+                Some(FleetState::GivenUp(GiveUpReason::NoSamples)) => {
+                    return Ok(Err(ReceiveOutcome::TooLate));
                 }
                 // A window given up by the fleet may have been replayed.
                 Some(FleetState::Sent | FleetState::GivenUp(GiveUpReason::Dead)) => {}
             }
             let Some(window) = store.stored_window(&name, boot, seq)? else {
-                return Ok(Err(ReceiveOutcome::Unrequested));
+                return Ok(Err(ReceiveOutcome::TooLate));
             };
             Ok(Ok(Some(SentWindow {
                 device_id: store.device(&name, &address)?,

@@ -24,30 +24,36 @@ type Paused = BTreeMap<String, (Instant, Duration)>;
 /// Period of the search for a finished recording.
 const POLL_PERIOD: Duration = Duration::from_secs(10);
 
+/// Time for which the list of the fleet's recordings counts: a server that lost its disk gets them again.
+const LIST_VALID: Duration = Duration::from_secs(3_600);
+
+/// Names of the fleet's recordings, and the time at which they were listed.
+type Listed = (BTreeSet<String>, Instant);
+
 /// Uploads each finished recording once, as `EDGE/FILE`, until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
-    let (mut there, mut paused) = (None, Paused::new());
+    let (mut listed, mut paused) = (None, Paused::new());
     loop {
-        let turn = take_turn(&link, &context, &mut there, &mut paused);
+        let turn = take_turn(&link, &context, &mut listed, &mut paused);
         if !link.turn(PART, POLL_PERIOD, turn).await {
             return;
         }
     }
 }
 
-/// Uploads the recordings that are not `there`, once the fleet's are known; returns the pause before the next search.
+/// Uploads the recordings that the fleet lacks; returns the pause before the next search.
 async fn take_turn(
     link: &Link,
     context: &Context,
-    there: &mut Option<BTreeSet<String>>,
+    listed: &mut Option<Listed>,
     paused: &mut Paused,
 ) -> Result<Duration, JetStreamError> {
     if link.is_admitted() {
-        let there = match there {
-            Some(there) => there,
-            None => {
-                let listed = captures::list(context).await?;
-                there.insert(listed.into_iter().map(|c| c.name).collect())
+        let there = match listed {
+            Some((there, at)) if at.elapsed() < LIST_VALID => there,
+            _ => {
+                let names = captures::list(context).await?.into_iter().map(|c| c.name);
+                &mut listed.insert((names.collect(), Instant::now())).0
             }
         };
         upload_new(link, context, there, paused).await?;

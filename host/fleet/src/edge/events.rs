@@ -121,7 +121,7 @@ async fn send(
     let message = Outgoing {
         subject: names::event(hob),
         payload: payload.into(),
-        number: Some(message_ids.event_id(&link.edge, number)),
+        number: Some(message_ids.event_id(&link.edge, number, event.at_ms)),
         after: None,
     };
     Ok(link.server.publish(message).await)

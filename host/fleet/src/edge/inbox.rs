@@ -184,7 +184,7 @@ async fn receive_one(link: &Link, message: Incoming) {
                         tracing::warn!(hob, boot, seq, by, what);
                     }
                 }
-                ReceiveOutcome::Stored | ReceiveOutcome::Duplicate => {
+                ReceiveOutcome::Stored | ReceiveOutcome::Duplicate | ReceiveOutcome::TooLate => {
                     link.state().answers.remove(&key);
                 }
             }

@@ -16,6 +16,7 @@ use tokio::time::Instant;
 
 use super::link::Link;
 use super::refusals::RETRY_PAUSE;
+use crate::clock::now_ms;
 use crate::jetstream;
 use crate::lookups::LookupMessage;
 use crate::names;
@@ -28,6 +29,12 @@ const PART: &str = "lookups";
 
 /// Period of polling without hints.
 const POLL_PERIOD: Duration = Duration::from_secs(5);
+
+/// Longest age of a request that is still pushed, by the server's time: another pot may stand there later.
+const REQUEST_VALID_MS: i64 = 24 * 3_600_000;
+
+/// Reason of the refusal of an older one.
+const TOO_OLD: &str = "it was requested more than a day ago: push it again";
 
 /// Reconciles hobs and fleet until the edge stops.
 pub async fn run(link: Arc<Link>, context: Context) {
@@ -87,22 +94,41 @@ async fn follow(link: &Link, context: &Context) -> Result<Duration, String> {
     Ok(RETRY_PAUSE)
 }
 
-/// Reconciles a hob with its entry in the fleet: a requested lookup is pushed until the hob accepts it; otherwise the lookup in use is put
-/// there.
+/// Reconciles a hob with its entry in the fleet: a requested lookup is pushed, once; then the lookup in use is put there. A request that the
+/// edge refuses is put back with the reason.
 async fn reconcile(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), String> {
     let entry = bucket.entry(hob).await.map_err(|e| e.to_string())?;
     let revision = entry.as_ref().map_or(0, |entry| entry.revision);
-    let there = entry
-        .filter(|entry| entry.operation == kv::Operation::Put)
-        .and_then(|entry| serde_json::from_slice::<LookupMessage>(&entry.value).ok());
-    if let Some(requested) = there.as_ref().filter(|there| !there.in_use) {
+    let entry = entry.filter(|entry| entry.operation == kv::Operation::Put);
+    let there: Option<LookupMessage> = (entry.as_ref())
+        .map(|entry| serde_json::from_slice(&entry.value))
+        .transpose()
+        .map_err(|e| {
+            format!("its entry cannot be read: {e}; `ihd-fleet lookup push` replaces it")
+        })?;
+    if let (Some(entry), Some(requested)) =
+        (&entry, there.as_ref().filter(|there| there.is_request()))
+    {
+        let requested_ms = (entry.created.unix_timestamp_nanos() / 1_000_000) as i64;
+        let outcome = match now_ms() - requested_ms {
+            age_ms if age_ms > REQUEST_VALID_MS => Ok(PushOutcome::Refused(TOO_OLD.to_owned())),
+            _ => push(link, hob, requested).await,
+        };
         let by = &requested.by;
-        match push(link, hob, requested).await {
-            Ok(Some(said)) => {
+        match outcome {
+            Ok(PushOutcome::InUse(said)) => {
                 link.works(PART);
                 tracing::info!(hob, by, said, "a lookup of the fleet is in use");
             }
-            Ok(None) => return Ok(()),
+            Ok(PushOutcome::Waits) => return Ok(()),
+            Ok(PushOutcome::Refused(why)) => {
+                tracing::warn!(hob, by, why, "a lookup of the fleet is refused");
+                let refused = LookupMessage {
+                    refused: Some(why),
+                    ..requested.clone()
+                };
+                return put(bucket, hob, &refused, revision).await;
+            }
             Err(why) => {
                 link.failed(PART, &format!("that of {by} for {hob}: {why}"));
                 return Ok(());
@@ -118,10 +144,19 @@ async fn reconcile(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), Str
         return Ok(());
     }
     let message = LookupMessage::new(&active, &link.edge, true);
-    let value = serde_json::to_vec(&message).map_err(|e| e.to_string())?;
+    put(bucket, hob, &message, revision).await
+}
+
+/// Puts a message after a revision. If another put was first, its hint causes the next attempt.
+async fn put(
+    bucket: &kv::Store,
+    hob: &str,
+    message: &LookupMessage,
+    revision: u64,
+) -> Result<(), String> {
+    let value = serde_json::to_vec(message).map_err(|e| e.to_string())?;
     match bucket.update(hob, value.into(), revision).await {
         Ok(_) => Ok(()),
-        // Another put was first; its hint causes the next call.
         Err(e) if e.kind() == kv::UpdateErrorKind::WrongLastRevision => Ok(()),
         Err(e) => Err(e.to_string()),
     }
@@ -147,28 +182,60 @@ fn is_free(link: &Link, hob: &str) -> bool {
     })
 }
 
-/// Pushes a requested lookup unless it contradicts the hob's own observations; `None` while there are none to compare with, and while the hob
-/// cannot take it.
+/// Outcome of a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum PushOutcome {
+    /// The hob uses the lookup; with the device's text.
+    InUse(String),
+    /// The hob cannot take it now, or its learning is busy.
+    Waits,
+    /// The request is not carried out, for this reason.
+    Refused(String),
+}
+
+/// Pushes a requested lookup unless it contradicts the hob's own observations, or is in use already: if the edge ended before it noted
+/// that, the lookup is not pushed again. A hob without observations takes any lookup.
+///
+/// # Errors
+/// Reason for which the hob did not take it; the next attempt may succeed.
 pub(super) async fn push(
     link: &Link,
     hob: &str,
     requested: &LookupMessage,
-) -> Result<Option<String>, String> {
+) -> Result<PushOutcome, String> {
     if !is_free(link, hob) {
-        return Ok(None);
+        return Ok(PushOutcome::Waits);
     }
-    let blob = requested.blob()?;
-    let lookup = RlLookup::from_bytes(&blob).map_err(|e| e.to_string())?;
+    let decoded = requested.blob().and_then(|blob| {
+        let lookup = RlLookup::from_bytes(&blob).map_err(|e| e.to_string())?;
+        Ok((blob, lookup))
+    });
+    let (blob, lookup) = match decoded {
+        Ok(decoded) => decoded,
+        Err(why) => return Ok(PushOutcome::Refused(why)),
+    };
+    let in_use = active(link, hob).await?;
+    // The daemon gives a pushed lookup a version of its own.
+    let is_same = |active: &RlLookup| {
+        RlLookup {
+            version: active.version,
+            ..lookup.clone()
+        } == *active
+    };
+    if in_use.as_ref().is_some_and(is_same) {
+        return Ok(PushOutcome::InUse("it was in use already".to_owned()));
+    }
     match link.daemon.fleet().check_lookup(hob, &lookup) {
         LookupCheck::Agrees => {}
-        LookupCheck::Unavailable => return Ok(None),
+        LookupCheck::Unavailable => return Ok(PushOutcome::Waits),
         LookupCheck::Contradicts(place) => {
-            return Err(format!(
-                "{place}: refused; `ihd device {hob} lookup push builtin` first if another pot stands there"
-            ));
+            return Ok(PushOutcome::Refused(format!(
+                "{place}: `ihd device {hob} lookup push builtin` first if another pot stands there"
+            )));
         }
     }
     let command = Command::LookupPush { blob };
     let done = link.daemon.command(hob, HOLDER, command).await;
-    done.map(|done| Some(done.text)).map_err(|e| e.to_string())
+    done.map(|done| PushOutcome::InUse(done.text))
+        .map_err(|e| e.to_string())
 }

@@ -78,7 +78,7 @@ impl Oddities {
     /// Returns the alarms.
     pub fn alarms(&self, now: Instant) -> impl Iterator<Item = String> {
         let foreign = "were for boots that this store does not know: either another daemon has a copy of it, or the name had another store";
-        let unrequested = "came to windows that were never sent or are not stored any more: unless retention took them, a worker's key is misused. Windows to come are identified here";
+        let unrequested = "came to windows that were never sent: a worker's key is misused. Windows to come are identified here";
         let foreign = self.foreign.alarm(now, foreign);
         let unrequested = self.unrequested.alarm(now, unrequested);
         foreign.into_iter().chain(unrequested)

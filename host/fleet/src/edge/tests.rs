@@ -8,7 +8,6 @@ use ihd_daemon::simulation::{HobKind, World, spawn_learner, start};
 use ihd_daemon::{Daemon, DaemonConfig};
 use ihd_link::Window;
 use ihd_model::DeviceState;
-use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::FrontEnd;
@@ -18,7 +17,7 @@ use tokio::sync::watch;
 use tokio::time::sleep;
 
 use super::link::Link;
-use super::lookups::push;
+use super::lookups::{PushOutcome, push};
 use super::state::{State, lock};
 use super::{events, given_up, inbox, outbox};
 use crate::lookups::LookupMessage;
@@ -179,10 +178,9 @@ async fn a_lookup_for_a_hob_that_is_away_or_commanded_waits_without_a_command() 
     let bench = Bench::start(tempfile::tempdir().unwrap()).await;
     bench.until_idle("right").await;
     bench.until_idle("left").await;
-    let lookup = RlLookup {
-        version: 1,
-        ..prior()
-    };
+    let mut lookup = prior();
+    lookup.version = 1;
+    lookup.r[0][0] += 1;
     let requested = LookupMessage::new(&lookup, "ada", false);
     {
         let left = &mut bench.world.lock().sockets[0];
@@ -197,11 +195,15 @@ async fn a_lookup_for_a_hob_that_is_away_or_commanded_waits_without_a_command() 
         .await
         .unwrap();
     for hob in ["left", "right"] {
-        assert_eq!(push(&bench.link, hob, &requested).await, Ok(None), "{hob}");
+        let waits = push(&bench.link, hob, &requested).await;
+        assert_eq!(waits, Ok(PushOutcome::Waits), "{hob}");
     }
     bench.daemon.release_lease("right", "ada").await.unwrap();
-    let pushed = push(&bench.link, "right", &requested).await;
-    assert!(matches!(pushed, Ok(Some(_))), "{pushed:?}");
+    // The second time stands for an edge that ended before it noted the first.
+    for _ in 0..2 {
+        let pushed = push(&bench.link, "right", &requested).await;
+        assert!(matches!(pushed, Ok(PushOutcome::InUse(_))), "{pushed:?}");
+    }
     bench.daemon.stop().await;
     let reader = StoreReader::open(bench.folder.path()).unwrap();
     let commands = reader.audit(50).unwrap();

@@ -1,7 +1,7 @@
 //! Steps of `ihd-fleet init` on the server: it makes what is missing, applies the limits, deletes nothing.
 
-use async_nats::jetstream::context::CreateStreamErrorKind;
-use async_nats::jetstream::{Context, stream};
+use async_nats::jetstream::context::{CreateStreamErrorKind, GetStreamErrorKind};
+use async_nats::jetstream::{Context, ErrorCode, stream};
 use bytes::Bytes;
 
 use super::buckets::bucket;
@@ -56,9 +56,23 @@ pub async fn limits(context: &Context) -> Result<Option<FleetLimits>, JetStreamE
     text.map(read).transpose()
 }
 
+/// Returns a stream; `None` if there is none.
+async fn existing(context: &Context, name: &str) -> Result<Option<stream::Stream>, JetStreamError> {
+    match context.get_stream(name).await {
+        Ok(stream) => Ok(Some(stream)),
+        Err(e) => match e.kind() {
+            GetStreamErrorKind::JetStream(e) if e.error_code() == ErrorCode::STREAM_NOT_FOUND => {
+                Ok(None)
+            }
+            GetStreamErrorKind::Request => Err(JetStreamError::new(name, NO_JETSTREAM)),
+            _ => Err(JetStreamError::new(name, e)),
+        },
+    }
+}
+
 /// Refuses a limit of a stream that would delete what it holds.
 async fn refuse_deletion(context: &Context, config: &stream::Config) -> Result<(), JetStreamError> {
-    let Ok(there) = context.get_stream(&config.name).await else {
+    let Some(there) = existing(context, &config.name).await? else {
         return Ok(());
     };
     let state = &there.cached_info().state;
@@ -93,8 +107,8 @@ pub async fn init(context: &Context, limits: &FleetLimits) -> Result<(), JetStre
     for config in &limits.streams() {
         refuse_deletion(context, config).await?;
     }
-    let captures = context.get_stream(names::CAPTURES_STREAM).await;
-    let captures = captures.ok().map(|captures| stream::Config {
+    let captures = existing(context, names::CAPTURES_STREAM).await?;
+    let captures = captures.map(|captures| stream::Config {
         max_bytes: limits.captures_bytes,
         num_replicas: usize::from(limits.replicas),
         ..captures.cached_info().config.clone()

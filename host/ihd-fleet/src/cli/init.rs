@@ -133,12 +133,11 @@ impl InitArgs {
                 .context("the build that hobs should have")?;
             }
             say!(
-                "{} is a fleet: windows up to {:.1} GB, results {} days and {:.1} GB, {} edges",
+                "{} is a fleet: windows up to {:.1} GB, results {} days and {:.1} GB",
                 access.shown(),
                 1e-9 * limits.windows_bytes as f64,
                 limits.results_days,
-                1e-9 * limits.results_bytes as f64,
-                self.edges.len()
+                1e-9 * limits.results_bytes as f64
             )
         })
     }

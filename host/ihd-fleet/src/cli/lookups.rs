@@ -70,7 +70,9 @@ fn from_file(hob: &str, file: &Path, me: &str, access: &AccessArgs, global: &Glo
     let put = access.with(global, async |_, context| {
         Ok(lookups::request(&context, hob, &lookup, me).await?)
     })?;
-    say!("{hob} is to use it: revision {put}; its edge pushes it")
+    say!(
+        "{hob} is to use it: revision {put}; its edge pushes it within a day, or refuses it: ihd-fleet lookup ls {hob}"
+    )
 }
 
 /// Has a hob use a lookup of its history.
@@ -85,7 +87,9 @@ fn again(hob: &str, revision: u64, me: &str, access: &AccessArgs, global: &Globa
         let lookup = RlLookup::from_bytes(&blob)?;
         Ok(lookups::request(&context, hob, &lookup, me).await?)
     })?;
-    say!("{hob} is to use it again: revision {put}; its edge pushes it")
+    say!(
+        "{hob} is to use it again: revision {put}; its edge pushes it within a day, or refuses it: ihd-fleet lookup ls {hob}"
+    )
 }
 
 fn show(entries: &[LookupEntry], json: bool) -> Result<()> {
@@ -95,13 +99,17 @@ fn show(entries: &[LookupEntry], json: bool) -> Result<()> {
     let mut table = TextTable::new(&["hob", "revision", "version", "by", "", "ago"]);
     for entry in entries {
         let lookup = &entry.lookup;
-        let used = if lookup.in_use { "in use" } else { "wanted" };
+        let used = match &lookup.refused {
+            Some(why) => format!("refused: {why}"),
+            None if lookup.in_use => "in use".to_owned(),
+            None => "wanted".to_owned(),
+        };
         table.row([
             entry.hob.clone(),
             entry.revision.to_string(),
             lookup.version.to_string(),
             lookup.by.clone(),
-            used.to_owned(),
+            used,
             ago(lookup.at_ms),
         ]);
     }

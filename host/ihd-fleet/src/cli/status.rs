@@ -18,8 +18,11 @@ use super::{AccessArgs, StatusCheckFailed, ago};
 struct FleetStatus {
     #[serde(flatten)]
     report: FleetReport,
-    /// Edges that have a name in the fleet, and were not heard of; `None` with a key that may not list names.
+    /// Edges that have a name in the fleet, and were not heard of; `None` if the names cannot be read.
     silent_edges: Option<Vec<String>>,
+    /// Reason for which they cannot be read, as with another key than the operator's.
+    #[serde(skip)]
+    names_unread: Option<String>,
 }
 
 /// State of the fleet, its hobs, what waits for a worker, or what was given up
@@ -62,18 +65,22 @@ enum Part {
 fn read(access: &AccessArgs, global: &Global) -> Result<FleetStatus> {
     access.with(global, async |access, context| {
         let report = status::report(&context, &access.shown()).await?;
-        // Another key than the operator's may see the cards alone.
-        let claimed = claims::edges(&context).await.ok();
-        Ok(FleetStatus::new(report, claimed))
+        let claimed = claims::edges(&context).await;
+        Ok(FleetStatus::new(report, claimed.map_err(|e| e.to_string())))
     })
 }
 
 impl FleetStatus {
     /// Creates it from the report and the names that edges have claimed.
-    fn new(report: FleetReport, claimed: Option<Vec<String>>) -> Self {
+    fn new(report: FleetReport, claimed: Result<Vec<String>, String>) -> Self {
         let is_silent = |name: &String| !report.edges.iter().any(|edge| edge.name == *name);
+        let (claimed, names_unread) = match claimed {
+            Ok(names) => (Some(names), None),
+            Err(why) => (None, Some(why)),
+        };
         Self {
             silent_edges: claimed.map(|names| names.into_iter().filter(is_silent).collect()),
+            names_unread,
             report,
         }
     }
@@ -124,8 +131,10 @@ impl StatusArgs {
 fn describe_problem(status: &FleetStatus) -> Option<String> {
     let report = &status.report;
     let mut reasons: Vec<String> = silences(status).chain(alarms(report)).collect();
-    if status.silent_edges.is_none() {
-        reasons.push("this key may not list the names of edges: a dead one is seen with the operator's alone".into());
+    if let Some(why) = &status.names_unread {
+        reasons.push(format!(
+            "a dead edge would not be seen, as the names of edges cannot be read, which takes the operator's key: {why}"
+        ));
     }
     if report.dead > 0 {
         let dead = report.dead;
@@ -325,7 +334,7 @@ mod tests {
                 ..FleetReport::default()
             };
             let claimed = vec!["lab-1".to_owned(), "lab-2".to_owned()];
-            describe_problem(&FleetStatus::new(report, Some(claimed)))
+            describe_problem(&FleetStatus::new(report, Ok(claimed)))
         };
         assert_eq!(status(&["lab-1", "lab-2"], 30_000), None);
         let why = status(&["lab-2", "lab-1.refused"], 30_000).unwrap();
@@ -336,6 +345,12 @@ mod tests {
         let why = status(&["lab-1", "lab-2"], 30_001).unwrap();
         assert!(why.contains("hob bench of edge lab-1"), "{why}");
         // A key that may not list the names never says that all is well.
-        assert!(describe_problem(&FleetStatus::new(FleetReport::default(), None)).is_some());
+        assert!(
+            describe_problem(&FleetStatus::new(
+                FleetReport::default(),
+                Err("denied".into())
+            ))
+            .is_some()
+        );
     }
 }

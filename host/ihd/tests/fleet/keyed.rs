@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
+use ihd_fakes::free_address;
+use ihd_shared::lookup::RlLookup;
 use serde_json::Value;
 
 use crate::process::{Process, ihd};
@@ -82,9 +84,7 @@ impl Keyed {
 
     /// Starts a daemon with simulated hobs, in the server's folder.
     fn edge(&self, hobs: &[&str]) -> Process {
-        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        let listen = free.local_addr().unwrap().to_string();
-        drop(free);
+        let listen = free_address().to_string();
         let mut text = format!(
             "store = \"ihd-store\"\nlisten = {listen:?}\ndiscover_usb = false\n\
              [fleet]\nurl = {:?}\nedge = \"lab-1\"\nnkey_file = {:?}\nca = \"certificate.pem\"\n",
@@ -190,6 +190,34 @@ fn the_whole_fleet_works_with_keys_and_none_does_more_than_its_own() {
     let (text, code) = keyed.fleet("operator", &["lookup", "push", "bench", &first.to_string()]);
     assert_eq!(code, 0, "{text}");
     keyed.until("the requested lookup in use", || is_in_use(Some(first + 1)));
+    // One that contradicts what the hob has measured is refused once, with the reason.
+    let of_hob = || {
+        let (text, _) = keyed.fleet("operator", &["lookup", "ls", "bench", "--json"]);
+        serde_json::from_str::<Vec<Value>>(&text).unwrap_or_default()
+    };
+    let blob = of_hob().pop().expect("a lookup")["lookup"]["blob"].clone();
+    let digits = blob.as_str().expect("digits").as_bytes().chunks(2);
+    let bytes: Vec<u8> = digits
+        .map(|pair| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap())
+        .collect();
+    let mut lie = RlLookup::from_bytes(&bytes).unwrap();
+    lie.r.iter_mut().flatten().for_each(|r| *r += *r / 7);
+    let path = keyed.file("lie.bin");
+    fs::write(&path, lie.to_bytes()).unwrap();
+    let (text, code) = keyed.fleet(
+        "operator",
+        &["lookup", "push", "bench", &path.display().to_string()],
+    );
+    assert_eq!(code, 0, "{text}");
+    keyed.until(
+        "the contradicting lookup refused, and the other still in use",
+        || {
+            let refused = of_hob()
+                .iter()
+                .any(|entry| entry["lookup"]["refused"].is_string());
+            refused && is_in_use(Some(first + 2))
+        },
+    );
     assert_eq!(
         keyed.status()["edges"][0]["trusts_fleet"],
         true,
@@ -268,9 +296,7 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
             std::thread::sleep(Duration::from_millis(200));
         }
     };
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let listen = free.local_addr().unwrap().to_string();
-    drop(free);
+    let listen = free_address().to_string();
     let up = || {
         let out = fs::File::create(file("up")).unwrap();
         let mut command = ihd_fleet(folder.path());
@@ -286,9 +312,7 @@ fn up_prints_what_edge_and_worker_need_and_an_open_key_is_refused() {
     let text = read("up");
     let fleet = text.split("[fleet]\n").nth(1).unwrap();
     let fleet = fleet.split("\n\n").next().unwrap();
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    let page = free.local_addr().unwrap().to_string();
-    drop(free);
+    let page = free_address().to_string();
     let config = format!(
         "listen = {page:?}\ndiscover_usb = false\n[fleet]\n{fleet}\n[[device]]\nname = \"bench\"\naddress = \"sim\"\n"
     );

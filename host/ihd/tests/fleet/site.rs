@@ -9,6 +9,7 @@ use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
+use ihd_fakes::free_address;
 use ihd_link::{Client, DeviceEvent, Window};
 use ihd_shared::wire::messages::{FrontEnd, Hello, State};
 use ihd_sim::hob::{HobConfig, SimHob};
@@ -87,7 +88,7 @@ impl Site {
             windows: BTreeSet::new(),
             fleet_lines: String::new(),
             simulated: false,
-            listen: free_address(),
+            listen: free_address().to_string(),
         }
     }
 
@@ -254,12 +255,6 @@ impl Site {
             .map(|r| (r.device, r.boot, r.seq))
             .collect()
     }
-}
-
-/// Returns an address of the loopback with a free port.
-fn free_address() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    listener.local_addr().expect("its address").to_string()
 }
 
 /// `ihd-fleet`, built beside the command under test (`cargo build -p ihd-fleet-cli`; a run of the whole workspace builds it).

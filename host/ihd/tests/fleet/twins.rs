@@ -53,7 +53,9 @@ fn a_name_is_one_stores_until_it_is_freed() {
         second.results() == second.windows
     });
     until("nothing is amiss", PATIENCE, || {
-        fleet(&url, &["status", "--check"]).1 == 0
+        let (text, code) = fleet(&url, &["status", "--check"]);
+        println!("{text}");
+        code == 0
     });
     drop(worker);
 }

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::SystemTime;
 
 use async_nats::jetstream::Context;
+use ihd_fakes::free_address;
 use ihd_fleet::{jetstream, names};
 use ihd_model::FleetDevice;
 use serde_json::json;
@@ -132,9 +133,7 @@ fn up_ends_with_the_reason_where_its_certificate_is_refused() {
         let certificate = params.self_signed(&key).expect("a certificate").pem();
         std::fs::write(folder.path().join("certificate.pem"), certificate).expect("a file");
         std::fs::write(folder.path().join("key.pem"), key.serialize_pem()).expect("a file");
-        let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-        let listen = free.local_addr().expect("its address").to_string();
-        drop(free);
+        let listen = free_address().to_string();
         let out = ihd_fleet(folder.path())
             .args(["init", "up", "--edge", "lab-1=bench", "--tls", "."])
             .args(["--listen", &listen])

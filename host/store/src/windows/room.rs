@@ -51,7 +51,7 @@ impl Day {
     ) -> Result<Vec<Candidate>, StoreError> {
         let read = || {
             let mut statement = self.connection.prepare(
-                "SELECT id, device, boot, seq, at_ms, fleet IS 0
+                "SELECT id, device, boot, seq, at_ms, fleet IS 0 OR fleet IS 1
                  FROM windows INDEXED BY windows_with_samples
                  WHERE not_kept IS NULL AND id > ?1 AND id < ?2 ORDER BY id LIMIT ?3",
             )?;
@@ -63,7 +63,7 @@ impl Day {
                     boot: row.get(2)?,
                     seq: row.get(3)?,
                     at_ms: row.get(4)?,
-                    is_due: row.get(5)?,
+                    is_unanswered: row.get(5)?,
                 })
             })?;
             rows.collect::<rusqlite::Result<_>>()
@@ -89,11 +89,11 @@ impl Day {
                 let mut trajectories = change.prepare(
                     "DELETE FROM trajectories WHERE device = ?1 AND boot = ?2 AND seq = ?3",
                 )?;
-                for (window, never_sent) in gone {
+                for (window, is_given_up) in gone {
                     windows.execute(params![
                         window.id,
                         why.as_str(),
-                        never_sent,
+                        is_given_up,
                         NO_SAMPLES,
                         now_ms
                     ])?;

@@ -303,7 +303,7 @@ fn what_has_no_samples_is_not_due_and_retention_tells_what_the_fleet_never_got()
     assert!(events.is_empty(), "a fleet is told no history: {events:?}");
     let told = ihd_store::StoreReader::open(folder.path()).unwrap();
     let told = told.events(100).unwrap();
-    let text = "2 windows of 2026-11-19 that the fleet had not got are deleted: retention";
+    let text = "2 windows of 2026-11-19 that the fleet had not answered are deleted: retention";
     assert!(told.iter().any(|event| event.text == text), "{told:?}");
     store.event(None, "store", "later").unwrap();
     let (events, up_to) = store.due_events(None, 10).unwrap();
