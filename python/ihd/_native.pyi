@@ -97,6 +97,9 @@ def identify(
     capacitance: float | None = None,
 ) -> tuple[list[Outcome], list[RemarkTuple]]: ...
 def simulate(preset: str, seed: int | None, settings: str) -> Capture: ...
+def overall_verdict(verdicts: Sequence[str]) -> str | None:
+    """Verdict on the estimates of several stretches together; `None` without one."""
+
 def methods() -> list[str]:
     """Names of all methods of `identify`."""
 

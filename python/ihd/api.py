@@ -46,7 +46,11 @@ class Client:
             raise ValueError(f"{url}: must be an address like http://127.0.0.1:8731 or https://hob.lan:8731")
         self.url = url.rstrip("/")
         self._host, self._port = parts.hostname, parts.port
-        self._token = token if token is not None else os.environ.get("IHD_TOKEN")
+        token = token if token is not None else os.environ.get("IHD_TOKEN")
+        # As read from a file, with its line's end.
+        self._token = None if token is None else token.strip()
+        if self._token is not None and not (self._token.isascii() and self._token.isprintable()):
+            raise ValueError("the token holds characters that no token has")
         self._tls: ssl.SSLContext | None = None
         if parts.scheme == "https":
             if ca is None:

@@ -149,6 +149,8 @@ class Capture:
         Raises `IdentifyError` where nothing can be identified, and `ValueError` for a wrong option. A refused result
         is returned: look at `verdict`.
         """
+        if method != "pinn" and (preset is not None or deterministic):
+            raise ValueError('preset and deterministic are for method="pinn"')
         options = dict(settings or {})
         network = dict(options.get("pinn", {}))
         if preset is not None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import operator
 import os
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import quote, urlencode
@@ -150,17 +151,19 @@ class Device:
 
     def windows(self, *, learned: bool = False, columns: int = 4000) -> Iterator[Window]:
         """Windows from now on, each when it is stored, or when the network has learned from it. Those whose samples are
-        not kept are left out."""
+        not kept are left out. Warns (`RuntimeWarning`) of events that this reader was too slow for."""
         kind = "result-stored" if learned else "window-stored"
         return self._windows(self.daemon.events(self.name), kind, columns)
 
     def _windows(self, events: Iterator[Report], kind: str, columns: int) -> Iterator[Window]:
         for event in events:
+            if event.get("event") == "missed":
+                warnings.warn(f"{self.name}: {event['missed']} events were missed, windows among them", RuntimeWarning, stacklevel=2)
             if event.get("event") == kind and event.get("device") == self.name:
                 try:
                     window = self.window(event["boot"], event["seq"], columns)
                 except DaemonError as error:
-                    if error.status == 404:
+                    if error.code == "no-window":
                         continue
                     raise
                 yield window

@@ -14,9 +14,6 @@ from . import _native
 Verdict = Literal["pass", "refuse", "cannot_tell"]
 Array = NDArray[np.float64]
 
-# From the best to the worst.
-_VERDICTS: list[Verdict] = ["pass", "cannot_tell", "refuse"]
-
 
 class Finding(NamedTuple):
     """Remark on a capture, a sensor or a result; docs/identification.md has every code."""
@@ -144,8 +141,9 @@ class Identification:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst of the estimates' verdicts; a stretch on which the method failed is refused."""
-        return max((e.verdict for e in self.estimates), key=_VERDICTS.index)
+        """Verdict on all estimates together, as the program's exit status has it: the worst one; a stub beside a stretch that passes does
+        not count, nor does a stretch on which the method failed."""
+        return cast(Verdict, _native.overall_verdict([e.verdict for e in self.estimates if e.error is None]))
 
     @property
     def passed(self) -> bool:

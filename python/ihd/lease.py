@@ -94,14 +94,19 @@ class Lease:
 
     def power(self, power_w: int) -> None:
         """Heats with another mean power; 0 switches off and keeps the lease."""
-        power_w = operator.index(power_w)
-        self.command({"command": "power", "power_w": power_w})
-        self._asked = (power_w, time.monotonic())
+        self.command({"command": "power", "power_w": operator.index(power_w)})
 
     def command(self, command: Report) -> Report:
         """Sends a command of the API, such as {"command": "clear-fault"}."""
         self._check()
-        return send(self._client, self._path, command, self._holder)
+        asked_w = {"off": 0, "power": command.get("power_w")}.get(str(command.get("command")))
+        if asked_w == 0:
+            # Before the hob is off: a renewal in between must not take it for another client's.
+            self._asked = (0, time.monotonic())
+        reply = send(self._client, self._path, command, self._holder)
+        if asked_w is not None:
+            self._asked = (asked_w, time.monotonic())
+        return reply
 
     def hold(self, seconds: float) -> None:
         """Waits; raises `LeaseError` as soon as the lease is lost."""
@@ -130,7 +135,11 @@ class Lease:
             # It was given back meanwhile, and is held again.
             return self._give_back()
         asked_w, at = self._asked
-        if asked_w > 0 and time.monotonic() - at > _SHOWN_S and self._client.get(self._path)["asked_by_daemon_w"] == 0:
+        if asked_w == 0 or time.monotonic() - at <= _SHOWN_S:
+            return
+        report = self._client.request("GET", self._path, timeout_s=_ANSWER_S)
+        # Not if it was asked for another power meanwhile.
+        if report["asked_by_daemon_w"] == 0 and self._asked == (asked_w, at):
             raise LeaseError(f"{self.name} was switched off elsewhere, or its link was cut", "leased")
 
     def _run_out(self) -> None:
@@ -138,7 +147,9 @@ class Lease:
         with self._ending:
             if not self._ended.is_set():
                 self._lost = f"{self.name} has had its power for the {self._at_most_s:g} s that it was given"
-                self._end()
+                failed = self._end()
+                if failed is not None:
+                    self._lost += f"; {failed}"
 
     def _lose(self, why: str) -> None:
         self._lost = why

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from datetime import datetime, timezone
+from datetime import datetime, timedelta, timezone
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pyarrow
 
 Time = datetime | np.datetime64 | str
+"""Moment; without a zone in UTC, as numpy's are."""
 
 
 class Columns(dict[str, NDArray[Any]]):
@@ -64,11 +65,11 @@ class Store:
     def telemetry(
         self, device: str, since: Time = "1970-01-01", until: Time | None = None, *, minutes: bool = True
     ) -> Columns:
-        """What a device did, a row for each minute, or each second: at, asked_w, fault, and least, mean and largest of
-        power_…_w, i_crest_…_a, r_…_ohm, l_…_h, f_sw_…_hz, as in `power_mean_w`; NaN where it did not heat."""
-        end = datetime.now(timezone.utc) if until is None else until
+        """What a device did before `until` (default: now), a row for each minute, or each second: at, asked_w, fault, and least, mean and
+        largest of power_…_w, i_crest_…_a, r_…_ohm, l_…_h, f_sw_…_hz, as in `power_mean_w`; NaN where it did not heat."""
+        end = datetime.now(timezone.utc) + timedelta(seconds=1) if until is None else until
         from_s, to_s = (_ms(time) // 1000 for time in (since, end))
-        return _columns(self._native.telemetry(device, from_s, to_s + 1, minutes))
+        return _columns(self._native.telemetry(device, from_s, to_s, minutes))
 
     def capture(self, device: str, boot: int, seq: int) -> Capture:
         """Voltage and current of a window; raises `KeyError` if there is none, or if its samples are not stored."""
@@ -95,7 +96,10 @@ def _optional_ms(time: Time | None) -> int | None:
 
 
 def _ms(time: Time) -> int:
-    """Milliseconds since 1970; times without a zone are UTC, as those of numpy are."""
+    """Milliseconds since 1970."""
     if isinstance(time, datetime) and time.tzinfo is not None:
         time = time.astimezone(timezone.utc).replace(tzinfo=None)
-    return int(np.array(time, dtype="datetime64[ms]").astype(np.int64))
+    moment = np.array(time, dtype="datetime64[ms]")
+    if np.isnat(moment):
+        raise ValueError(f"{time!r} is no time")
+    return int(moment.astype(np.int64))

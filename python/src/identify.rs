@@ -1,6 +1,8 @@
 //! Identification: `ihd_gate::examine` on a capture, as `ihd identify` calls it.
 
-use ihd_gate::{ExamineOptions, Judgement, MethodResult, Reconstruct, Verdict, examine_taking};
+use ihd_gate::{
+    ExamineOptions, Judgement, MethodResult, Reconstruct, Verdict, VerdictTally, examine_taking,
+};
 use ihd_identify::pooled::PooledLaw;
 use ihd_identify::{Estimate, IdentifyOptions, Method};
 use ihd_signal::{Remark, Segment, Severity};
@@ -153,6 +155,18 @@ impl Outcome {
     }
 }
 
+/// Verdict on the estimates of several stretches together, by their names; `None` without one.
+#[pyfunction]
+pub fn overall_verdict(verdicts: Vec<String>) -> Option<&'static str> {
+    let mut tally = VerdictTally::default();
+    for name in verdicts {
+        let all = [Verdict::Pass, Verdict::Refuse, Verdict::CannotTell];
+        let named = all.into_iter().find(|v| verdict_name(*v) == name);
+        tally.count(named.unwrap_or(Verdict::Refuse));
+    }
+    tally.verdict().map(verdict_name)
+}
+
 /// Names of all methods.
 #[pyfunction]
 pub fn methods() -> Vec<&'static str> {
@@ -178,6 +192,7 @@ pub fn identify(
 ) -> PyResult<(Vec<Outcome>, Vec<RemarkTuple>)> {
     let methods = chosen(&methods)?;
     let settings: IdentifyOptions = serde_json::from_str(settings).map_err(value)?;
+    settings.check_start().map_err(value)?;
     settings.pinn.check().map_err(value)?;
     let hints = Hints {
         f_sw_hz: stated("f_sw", f_sw, StatedRange::SwitchingHz)?,

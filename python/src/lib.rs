@@ -28,7 +28,7 @@ mod native {
     #[pymodule_export]
     use crate::errors::{CaptureError, IdentifyError, StoreError};
     #[pymodule_export]
-    use crate::identify::{Outcome, identify, methods};
+    use crate::identify::{Outcome, identify, methods, overall_verdict};
     #[pymodule_export]
     use crate::simulate::{presets, simulate};
     #[pymodule_export]

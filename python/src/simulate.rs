@@ -1,5 +1,6 @@
 //! Simulated captures with their truth.
 
+use ihd_sim::recording::file::SETTINGS_KEY;
 use ihd_sim::recording::run::record;
 use ihd_sim::recording::settings::{CaptureSpec, PRESETS};
 use pyo3::prelude::*;
@@ -31,7 +32,10 @@ pub fn simulate(
     spec.check().map_err(value)?;
     let recording = interruptible(py, |look| record(&spec, |_| look()))?.map_err(value)?;
     let name = format!("ihd simulate {preset}");
-    Ok(Capture::new(py, recording.capture(&name)))
+    let mut capture = recording.capture(&name);
+    let settings = serde_json::to_string(&recording.settings).map_err(value)?;
+    capture.metadata.insert(SETTINGS_KEY.to_owned(), settings);
+    Ok(Capture::new(py, capture))
 }
 
 /// A specification with values of a JSON object in place of its own.

@@ -73,7 +73,19 @@ class Equality(unittest.TestCase):
             with self.subTest(method=method):
                 network = ["--network", "deterministic"] if method == "pinn" else []
                 entries = ihd_json("identify", file, "--method", method, *network, exits=CODES)
-                self.compare(capture.identify(method, deterministic=True), entries)
+                self.compare(capture.identify(method, deterministic=method == "pinn"), entries)
+
+    def test_a_stub_is_judged_as_the_program_judges_it(self) -> None:
+        capture = ihd.simulate(settings={"load": "behavioural", "duration_s": 20e-3})
+        v, fs = capture.v.copy(), 1 / (capture.t[1] - capture.t[0])
+        v[int(0.7e-3 * fs)] = np.nan
+        found = ihd.identify(v, capture.i, fs, "lockin")
+        self.assertEqual([e.verdict for e in found.estimates], ["cannot_tell", "pass"])
+        self.assertTrue(found.passed)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "stub.npz")
+            np.savez(file, v_V=v, i_A=capture.i, t0_s=0.0, dt_s=1 / fs)
+            program("identify", file, "--method", "lockin")
 
     def test_several_stretches_are_the_programs(self) -> None:
         file = CAPTURES / "frequency-steps.mcap"
@@ -147,7 +159,10 @@ class Arrays(unittest.TestCase):
         nan, inf = float("nan"), float("inf")
         wrong = [
             ({"method": "magic"}, "least-squares"),
-            ({"preset": "none"}, "hybrid"),
+            ({"method": "pinn", "preset": "none"}, "hybrid"),
+            ({"preset": "hybrid"}, "pinn"),
+            ({"deterministic": True}, "pinn"),
+            ({"method": "ekf", "settings": {"start": [2.5, 20.0]}}, "henry"),
             ({"settings": {"lockn": {}}}, "lockin"),
             ({"self_calibrate": "perhaps"}, "report"),
             *(({"f_sw": f}, "1 kHz to 1 MHz") for f in (-1.0, 0.0, nan, inf)),

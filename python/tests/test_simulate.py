@@ -23,6 +23,7 @@ class Simulation(unittest.TestCase):
         np.testing.assert_array_equal(capture.v, recorded.v)
         np.testing.assert_array_equal(capture.i, recorded.i)
         self.assertEqual(capture.fs, recorded.fs)
+        self.assertEqual(capture.metadata["simulation"], recorded.metadata["simulation"])
         truth, expected = capture.truth, recorded.truth
         assert truth is not None and expected is not None
         np.testing.assert_array_equal(truth.R, expected.R)

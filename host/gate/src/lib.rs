@@ -33,4 +33,4 @@ pub use path::{
     Examination, ExamineOptions, MethodResult, OnProgress, Reconstruct, examine, examine_taking,
 };
 pub use reference::ReferenceResults;
-pub use verdict::{Gate, HalfCycleVerdict, Judgement, Verdict};
+pub use verdict::{Gate, HalfCycleVerdict, Judgement, Verdict, VerdictTally};

@@ -15,6 +15,46 @@ pub enum Verdict {
     CannotTell,
 }
 
+/// Numbers of a method's estimates by verdict, one estimate a stretch. A stretch on which the method failed has none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct VerdictTally {
+    /// Estimates that can be used.
+    pub passed: usize,
+    /// Estimates that are refused.
+    pub refused: usize,
+    /// Estimates too short to be judged.
+    pub open: usize,
+}
+
+impl VerdictTally {
+    /// Counts a verdict.
+    pub fn count(&mut self, verdict: Verdict) {
+        match verdict {
+            Verdict::Pass => self.passed += 1,
+            Verdict::Refuse => self.refused += 1,
+            Verdict::CannotTell => self.open += 1,
+        }
+    }
+
+    /// Number of estimates that must not be used; a stub beside a stretch that passes is none.
+    pub fn unfit(self) -> usize {
+        match self.passed {
+            0 => self.refused + self.open,
+            _ => self.refused,
+        }
+    }
+
+    /// Verdict on all together; `None` without an estimate.
+    pub fn verdict(self) -> Option<Verdict> {
+        match self {
+            Self { refused: 1.., .. } => Some(Verdict::Refuse),
+            Self { passed: 1.., .. } => Some(Verdict::Pass),
+            Self { open: 1.., .. } => Some(Verdict::CannotTell),
+            _ => None,
+        }
+    }
+}
+
 /// Code of the finding that leaves the verdict open.
 pub const TOO_SHORT: &str = "too_short";
 
@@ -106,6 +146,22 @@ impl std::fmt::Display for Gate {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stub_leaves_the_verdict_to_the_other_stretches() {
+        let (pass, open, refuse) = (Verdict::Pass, Verdict::CannotTell, Verdict::Refuse);
+        let together = |verdicts: &[Verdict]| {
+            let mut tally = VerdictTally::default();
+            verdicts.iter().for_each(|v| tally.count(*v));
+            let unfit = tally.unfit() > 0;
+            assert!(tally.verdict().is_none_or(|v| (v != pass) == unfit));
+            tally.verdict()
+        };
+        assert_eq!(together(&[]), None);
+        assert_eq!(together(&[open]), Some(open));
+        assert_eq!(together(&[open, pass]), Some(pass));
+        assert_eq!(together(&[pass, refuse, open]), Some(refuse));
+    }
 
     #[test]
     fn an_error_refuses_and_a_warning_does_not() {

@@ -33,6 +33,7 @@ mod steps;
 mod sweep;
 pub mod trajectory;
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use ihd_signal::carrier::{Carrier, HannFrames};
@@ -155,6 +156,28 @@ pub struct IdentifyOptions {
     pub rls: rls::RlsSettings,
     /// Options of the PINN.
     pub pinn: pinn::PinnSettings,
+}
+
+impl IdentifyOptions {
+    /// Ranges of start values: R in ohm and L in henry, far beyond those of a hob.
+    const START: [RangeInclusive<f64>; 2] = [0.01..=100.0, 1e-6..=10e-3];
+
+    /// Checks the start values.
+    ///
+    /// # Errors
+    /// [`IdentifyError::Start`] for a value out of range, as one in another unit is.
+    pub fn check_start(&self) -> Result<(), IdentifyError> {
+        let Some((r_ohm, l_h)) = self.start else {
+            return Ok(());
+        };
+        let [r_range, l_range] = Self::START;
+        for (name, value, range) in [("R", r_ohm, r_range), ("L", l_h, l_range)] {
+            if !range.contains(&value) {
+                return Err(IdentifyError::Start { name, value, range });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Receiver of an estimator's progress.
@@ -357,6 +380,20 @@ pub enum IdentifyError {
         /// Action that the user can take.
         advice: &'static str,
     },
+    /// A start value is out of range.
+    #[error(
+        "start: {name} is {value:e}, but must be {:e} to {:e}: write ohm and henry, as in start = [2.5, 20e-6]",
+        range.start(),
+        range.end()
+    )]
+    Start {
+        /// Quantity, R or L.
+        name: &'static str,
+        /// Value given.
+        value: f64,
+        /// Valid values.
+        range: RangeInclusive<f64>,
+    },
     /// The method cannot work on this segment.
     #[error("{method}: {why}")]
     Unfit {
@@ -407,5 +444,32 @@ impl Estimate {
     pub fn points(&self) -> impl Iterator<Item = (f64, f64, f64)> {
         let values = self.r_ohm.iter().zip(&self.l_h);
         self.t_s.iter().zip(values).map(|(&t, (&r, &l))| (t, r, l))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 20 µH as 20, and 2.5 ohm as milliohm.
+    #[test]
+    fn a_start_in_another_unit_is_refused() {
+        let check = |start| {
+            let options = IdentifyOptions {
+                start,
+                ..IdentifyOptions::default()
+            };
+            options.check_start()
+        };
+        assert!(check(None).is_ok() && check(Some((2.5, 20e-6))).is_ok());
+        for start in [
+            (2.5, 20.0),
+            (2500.0, 20e-6),
+            (0.0, 20e-6),
+            (f64::NAN, 20e-6),
+        ] {
+            let why = check(Some(start)).unwrap_err().to_string();
+            assert!(why.contains("henry"), "{why}");
+        }
     }
 }

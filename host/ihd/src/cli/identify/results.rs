@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use ihd_gate::{Examination, Verdict};
+use ihd_gate::{Examination, VerdictTally};
 use ihd_identify::Estimate;
 use ihd_identify::pooled::{PoolPhasors, pool_phasors};
 use ihd_signal::truth::PeriodTruth;
@@ -21,35 +21,10 @@ use crate::report::identified;
 #[error("{0}")]
 pub struct RefusedResults(String);
 
-/// Numbers of a method's results by verdict.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Tally {
-    passed: usize,
-    refused: usize,
-    /// Too short to be judged.
-    open: usize,
-}
-
-impl Tally {
-    fn count(&mut self, verdict: Verdict) {
-        match verdict {
-            Verdict::Pass => self.passed += 1,
-            Verdict::Refuse => self.refused += 1,
-            Verdict::CannotTell => self.open += 1,
-        }
-    }
-
-    /// Number of results that may not be used; a stub beside a stretch that passes is none.
-    fn unfit(self) -> usize {
-        match self.passed {
-            0 => self.refused + self.open,
-            _ => self.refused,
-        }
-    }
-}
-
 /// Error that names the methods with results that may not be used, and the remedy; `None` if there are none.
-fn refusal(tallies: &BTreeMap<&'static str, Tally>) -> Option<(RefusedResults, &'static str)> {
+fn refusal(
+    tallies: &BTreeMap<&'static str, VerdictTally>,
+) -> Option<(RefusedResults, &'static str)> {
     let unfit: Vec<String> = (tallies.iter())
         .filter(|(_, t)| t.unfit() > 0)
         .map(|(method, t)| {
@@ -113,7 +88,7 @@ pub struct ResultWriter<'a> {
     calibration: String,
     /// Phasors of all parts; none of a capture of one part.
     phasors: Option<Vec<PoolPhasors>>,
-    tallies: BTreeMap<&'static str, Tally>,
+    tallies: BTreeMap<&'static str, VerdictTally>,
 }
 
 impl<'a> ResultWriter<'a> {
@@ -323,13 +298,15 @@ impl Figure {
 
 #[cfg(test)]
 mod tests {
+    use ihd_gate::Verdict;
+
     use super::*;
 
     /// Two samples that are no numbers, 0.7 ms after the beginning, leave a stub beside 19.3 ms.
     #[test]
     fn a_stub_beside_a_stretch_that_passes_is_no_refusal() {
         let tallies = |of: &[(&'static str, Verdict)]| {
-            let mut tallies: BTreeMap<&'static str, Tally> = BTreeMap::new();
+            let mut tallies: BTreeMap<&'static str, VerdictTally> = BTreeMap::new();
             for (method, verdict) in of {
                 tallies.entry(method).or_default().count(*verdict);
             }
