@@ -16,6 +16,7 @@ use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::bus::BusReading;
 use ihd_link::{Client, LinkError, Transport};
 use ihd_shared::board::BARE_COIL_NH;
+use ihd_shared::lookup::RlLookup;
 use ihd_shared::sampling::{
     ADC_LOCK_P, ADC_LOCK_Q, AMPERE_PER_CODE, Pair, VOLT_PER_CODE, block_ns,
 };
@@ -109,9 +110,9 @@ impl DeskHob {
         &self.housekeeping
     }
 
-    /// The same, for what a board does at its start.
-    pub fn housekeeping_mut(&mut self) -> &mut Housekeeping {
-        &mut self.housekeeping
+    /// Starts from a kept lookup, as a board does.
+    pub fn restore(&mut self, lookup: RlLookup) {
+        self.housekeeping.restore(&mut *self.sampling_path, lookup);
     }
 
     /// The firmware's sampling path.

@@ -97,9 +97,13 @@ pub fn f_adc_hz(f_sw_hz: u32) -> f64 {
 }
 
 /// Duration of one block of [`ADC_LOCK_P`] pairs, in nanoseconds, rounded to nearest.
-pub fn block_ns(f_sw_hz: u32) -> u32 {
+pub const fn block_ns(f_sw_hz: u32) -> u32 {
     // In 32 bit, as the sampling path divides here: from 2^31 on it is one either way.
-    let f = f_sw_hz.clamp(1, 1 << 31);
+    let f = match f_sw_hz {
+        0 => 1,
+        f if f > 1 << 31 => 1 << 31,
+        f => f,
+    };
     (ADC_LOCK_Q * 1_000_000_000 + f / 2) / f
 }
 

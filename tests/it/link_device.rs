@@ -49,6 +49,8 @@ fn refusal<T: std::fmt::Debug>(result: Result<T, LinkError>) -> (Outcome, u32) {
 fn a_device_says_what_it_is_and_takes_commands() {
     let (mut client, link) = connected();
     assert_eq!(client.hello(), &desk_hello());
+    // A start takes three good half-cycles.
+    link.hob().run(4);
     client.set_power(1_000).unwrap();
     link.hob().step();
     let status = client.status().unwrap();
@@ -321,10 +323,23 @@ fn what_was_kept_of_version_zero_is_this_builds_prior() {
     let link = DeskLink::new(DeskHob::new(desk_hello()));
     let mut older = newer(0);
     older.r[0][0] += 1;
-    link.hob().housekeeping_mut().restore(older);
+    link.hob().restore(older);
     assert_eq!(link.hob().housekeeping().lookup(), &prior());
-    link.hob().housekeeping_mut().restore(newer(4));
+    link.hob().restore(newer(4));
     assert_eq!(link.hob().housekeeping().lookup(), &newer(4));
+    // Windows name it, too.
+    let mut client = Client::connect(Box::new(link.clone())).unwrap();
+    client.set_power(1_000).unwrap();
+    link.hob().run(60);
+    client.stream(0, 2).unwrap();
+    let window = loop {
+        match client.next_event(Duration::from_secs(2)).unwrap() {
+            Some(DeviceEvent::Window(window)) => break window,
+            Some(_) => {}
+            None => panic!("no window within 2 s of the device's time"),
+        }
+    };
+    assert_eq!(window.lookup_version, 4);
 }
 
 #[test]

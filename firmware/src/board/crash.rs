@@ -94,10 +94,14 @@ fn stored_record() -> CrashRecord {
     CrashRecord::from_words(stored_words()).unwrap_or_default()
 }
 
+/// Writes the record at once: an end in between, in an interrupt, would find a damaged one, and no lock-out.
 fn write(record: CrashRecord) {
-    for (slot, word) in CRASH_RECORD.iter().zip(record.to_words()) {
-        slot.store(word, Ordering::Relaxed);
-    }
+    let words = record.to_words();
+    cortex_m::interrupt::free(|_| {
+        for (slot, word) in CRASH_RECORD.iter().zip(words) {
+            slot.store(word, Ordering::Relaxed);
+        }
+    });
 }
 
 /// Begins anew because a host has asked for it, outputs open.

@@ -25,8 +25,8 @@ mod probing;
 mod requests;
 mod state;
 
-/// Half-cycles of a mains that is as it must be before a pause for its sake ends.
-const GOOD_HALF_CYCLES: u8 = 3;
+/// Half-cycles in a row with the mains as it must be, before a pause for its sake ends and before a start.
+pub(super) const GOOD_HALF_CYCLES: u8 = 3;
 
 /// State machine, requests, and everything that outlives a state.
 #[derive(Clone, Debug)]
@@ -237,6 +237,7 @@ impl Control {
         if status.replaying {
             // A recording has no mains and no bridge of its own; the half-cycle in which it begins or ends is cut.
             self.plausibility.reset();
+            self.good_half_cycles = 0;
         }
         if status.fault != self.seen_fault {
             self.seen_fault = status.fault;

@@ -8,7 +8,7 @@
 //! | timer | on: off after the next whole ten minutes and ten more, to 90; then none |
 //!
 //! A press is a line that was released for 30 ms and is closed for 30 ms. A button that is closed at power-on or stuck is pressed
-//! once at most, and none repeats: to heat takes two buttons, one after the other. Only on/off, then on/off and plus ends a lock-out.
+//! once at most, and none repeats: to heat takes two buttons, one after the other. Only off, then on ends a lock-out.
 
 use ihd_shared::wire::messages::State;
 

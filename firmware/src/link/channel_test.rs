@@ -7,6 +7,7 @@ use ihd_shared::sampling::Pair;
 use ihd_shared::window::{CHUNK_BYTES, MAX_PAIRS, PAIR_BYTES};
 use ihd_shared::wire::messages::Channels;
 
+use crate::link::window_sender::READ_BYTES;
 use crate::sampling::path::SamplingLock;
 use crate::sense::supply::Reference;
 
@@ -121,24 +122,32 @@ impl ChannelTest {
             }
             return;
         };
-        let mut raw = [0; CHUNK_BYTES];
-        let n = lock.with(|path| match path.recorder().is_raw() {
-            true => Some(path.recorder().read_pairs(taken, &mut raw)),
-            false => None,
-        });
-        let Some(n) = n else {
-            // The slot was freed meanwhile.
-            self.taken = None;
-            return;
-        };
-        let (pairs, _) = raw[..usize::from(n) * PAIR_BYTES].as_chunks();
-        for pair in pairs {
-            let pair = Pair::from_le_bytes(*pair);
-            self.v.add(pair.v.into());
-            self.i.add(pair.i.into());
+        // More than a block brings, in parts under the lock by itself each.
+        let mut taken = taken;
+        for _ in 0..CHUNK_BYTES / READ_BYTES {
+            let mut raw = [0; READ_BYTES];
+            let n = lock.with(|path| match path.recorder().is_raw() {
+                true => Some(path.recorder().read_pairs(taken, &mut raw)),
+                false => None,
+            });
+            let Some(n) = n else {
+                // The slot was freed meanwhile.
+                self.taken = None;
+                return;
+            };
+            let (pairs, _) = raw[..usize::from(n) * PAIR_BYTES].as_chunks();
+            for pair in pairs {
+                let pair = Pair::from_le_bytes(*pair);
+                self.v.add(pair.v.into());
+                self.i.add(pair.i.into());
+            }
+            taken += n;
+            if n == 0 {
+                break;
+            }
         }
-        self.taken = Some(taken + n);
-        if usize::from(taken + n) >= MAX_PAIRS {
+        self.taken = Some(taken);
+        if usize::from(taken) >= MAX_PAIRS {
             lock.with(|path| path.recorder().end_raw());
             self.taken = None;
         }

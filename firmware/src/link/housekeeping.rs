@@ -70,9 +70,11 @@ impl Housekeeping {
         }
     }
 
-    /// Starts from a lookup that was kept, in place of the prior ([`ActiveLookup::restore`]).
-    pub fn restore(&mut self, lookup: RlLookup) {
+    /// Starts from a lookup that was kept, in place of the prior ([`ActiveLookup::restore`]); windows name it from the first one on.
+    pub fn restore(&mut self, lock: &mut impl SamplingLock, lookup: RlLookup) {
         self.lookup.restore(lookup);
+        let version = self.lookup.version;
+        lock.with(|path| path.recorder().set_lookup_version(version));
     }
 
     /// Goes on with what control kept through a reset; `fault` was active then, and is again if it has locked out.

@@ -72,15 +72,13 @@ pub enum BoardTest {
 enum ServiceJob {
     /// Requested, not begun.
     Restart(Program),
-    /// The response is leaving; since when, in milliseconds.
-    Leaving(Program, u32),
     Test(BoardTest),
     Channels(ChannelTest),
     /// Counting since this time, in milliseconds.
     Clocks(u32),
 }
 
-/// Outcome of a step of an job.
+/// Outcome of a step of a job.
 enum Step {
     Next(ServiceJob),
     Response(Response),
@@ -91,6 +89,8 @@ enum Step {
 #[derive(Default)]
 pub struct Service {
     job: Option<(Number, ServiceJob)>,
+    /// Program that is to begin, and when its response was sent, in milliseconds.
+    leaving: Option<(Program, u32)>,
     received: LinkTestCounts,
 }
 
@@ -102,15 +102,13 @@ impl Service {
 
     /// Returns `true` if the device is about to restart: no host is paired with it, and nothing is heated.
     pub fn is_leaving(&self) -> bool {
-        matches!(self.job, Some((_, ServiceJob::Leaving(..))))
+        self.leaving.is_some()
     }
 
     /// Forgets the requests of a host that is gone.
     pub fn forget(&mut self, lock: &mut impl SamplingLock) {
         lock.with(|path| path.recorder().end_raw());
-        if !self.is_leaving() {
-            self.job = None;
-        }
+        self.job = None;
         self.received = LinkTestCounts::NONE;
     }
 
@@ -130,7 +128,7 @@ impl Service {
     }
 
     fn begin(&mut self, number: Number, job: ServiceJob) -> bool {
-        let free = self.job.is_none();
+        let free = self.job.is_none() && !self.is_leaving();
         if free {
             self.job = Some((number, job));
         }
@@ -146,15 +144,14 @@ impl Service {
         lock: &mut impl SamplingLock,
         board: &mut impl BoardServices,
     ) -> Option<(Number, Response)> {
-        let (number, job) = self.job.take()?;
         let now_ms = lock.with(|path| path.now_ms());
-        if let ServiceJob::Leaving(into, since_ms) = job {
+        if let Some((into, since_ms)) = self.leaving {
             if now_ms.wrapping_sub(since_ms) >= RESTART_AFTER_MS {
                 board.restart(into);
             }
-            self.job = Some((number, job));
             return None;
         }
+        let (number, job) = self.job.take()?;
         let step = if idle && is_bridge_open(lock) {
             job.step(now_ms, lock, board)
         } else {
@@ -168,7 +165,7 @@ impl Service {
             }
             Step::Response(response) => Some((number, response)),
             Step::Leave(into) => {
-                self.job = Some((number, ServiceJob::Leaving(into, now_ms)));
+                self.leaving = Some((into, now_ms));
                 Some((number, Response::outcome(Outcome::Ok)))
             }
         }
@@ -195,10 +192,10 @@ impl ServiceJob {
             {
                 Some(Response::outcome(Outcome::NotIdle))
             }
-            Self::Restart(into) | Self::Leaving(into, _) if board.has_program(into) => {
+            Self::Restart(into) if board.has_program(into) => {
                 return Step::Leave(into);
             }
-            Self::Restart(_) | Self::Leaving(..) => None,
+            Self::Restart(_) => None,
             Self::Test(BoardTest::Channels) => {
                 return Step::Next(Self::Channels(ChannelTest::begin(now_ms)));
             }

@@ -243,7 +243,7 @@ fn chunk(
 }
 
 /// Bytes that are read under one lock.
-const READ_BYTES: usize = CHUNK_BYTES / 8;
+pub(super) const READ_BYTES: usize = CHUNK_BYTES / 8;
 const _: () = assert!(
     CHUNK_BYTES.is_multiple_of(READ_BYTES)
         && READ_BYTES.is_multiple_of(PAIR_BYTES)

@@ -1,4 +1,4 @@
-//! Latch of the active fault: the first one stays until it is cleared, one of the board itself for good.
+//! Latch of the active fault: the first one stays until it is cleared; one of the board itself takes its place and stays for good.
 
 use ihd_shared::fault::Fault;
 
@@ -30,10 +30,15 @@ impl FaultLatch {
         }
     }
 
-    /// Trips for good.
+    /// Trips for good, in place of a fault that may pass: control, telemetry and the record for the next start know the active one alone.
     pub fn latch(&mut self, fault: Fault, half_cycle: u32) {
-        self.standing = fault;
-        self.trip(fault, half_cycle);
+        if self.standing == Fault::NONE {
+            *self = Self {
+                active: fault,
+                half_cycle,
+                standing: fault,
+            };
+        }
     }
 
     /// Clears the active fault, but for a standing one.
@@ -84,9 +89,9 @@ mod tests {
         let mut latch = FaultLatch::new();
         latch.trip(Fault::MAINS_LOST, 1);
         latch.latch(Fault::FLASH_ECC, 2);
-        assert_eq!(latch.active(), Fault::MAINS_LOST);
-        latch.clear();
+        latch.latch(Fault::COMPARATOR_TEST, 3);
         latch.clear();
         assert_eq!(latch.active(), Fault::FLASH_ECC);
+        assert_eq!(latch.half_cycle(), Some(2));
     }
 }

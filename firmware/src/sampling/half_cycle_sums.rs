@@ -218,8 +218,9 @@ impl HalfCycles {
         if self.in_second { second } else { first }
     }
 
-    /// Begins anew; the last half-cycle stays.
+    /// Begins anew with samples of another source; a half-cycle that was not taken is dropped.
     pub fn restart(&mut self) {
+        self.has_finished = false;
         *self.running() = HalfCycleAccumulator::blank();
     }
 
@@ -241,7 +242,7 @@ impl HalfCycles {
         over.is_pot_probe = is_pot_probe;
         self.in_second = !self.in_second;
         self.has_finished = true;
-        self.restart();
+        *self.running() = HalfCycleAccumulator::blank();
     }
 
     /// The last half-cycle, once.

@@ -9,7 +9,7 @@
 
 use core::marker::PhantomData;
 
-use ihd_shared::sampling::{ADC_LOCK_P, Pair};
+use ihd_shared::sampling::{ADC_LOCK_P, Pair, block_ns};
 use ihd_shared::units::{MicroOhm, PicoHenry};
 use ihd_shared::window::TrajectoryEntry;
 use ihd_shared::wire::messages::Limit;
@@ -31,6 +31,9 @@ use crate::sense::demodulator::Demodulator;
 use crate::sense::mains::MAINS_DELAY_NS;
 use crate::sense::product_sums::{PairArithmetic, PlainArithmetic};
 
+/// Duration of a block with the bridge open, in nanoseconds.
+const OFF_BLOCK_NS: u32 = block_ns(Drive::OFF.f_sw_hz);
+
 mod requests;
 
 /// One block as the board delivers it.
@@ -50,7 +53,7 @@ pub struct AdcBlock<'a> {
 }
 
 /// Exclusive use of the sampling path for the duration of a closure. The board takes a critical
-/// section; every closure is short (the longest copies 120 bytes of a window).
+/// section; every closure is short: the longest with the bridge closed copies 120 bytes of a window, with it open a block of a recording.
 pub trait SamplingLock {
     /// Arithmetic of the path.
     type Arithmetic: PairArithmetic;
@@ -133,12 +136,23 @@ impl<M: PairArithmetic> SamplingPath<M> {
         if block.lost > 0 {
             self.lose_blocks(block.lost);
         }
-        self.clock.count_block();
-        self.housekeeping_gap.add(self.clock.block_ns());
+        let block_ns = self.adc_block_ns();
+        self.clock.count_block(block_ns);
+        self.housekeeping_gap.add(block_ns);
         if !self.replaying {
             self.take_block(block);
         }
         self.drive()
+    }
+
+    /// Duration of the ADC's blocks, in nanoseconds: while a recording is replayed, those of an open bridge.
+    #[inline]
+    fn adc_block_ns(&self) -> u32 {
+        if self.replaying {
+            OFF_BLOCK_NS
+        } else {
+            self.clock.block_ns()
+        }
     }
 
     /// Takes one block from a host; returns the estimate it led to; `None` outside replay mode or before the first.
@@ -202,7 +216,7 @@ impl<M: PairArithmetic> SamplingPath<M> {
     #[inline(never)]
     fn lose_blocks(&mut self, lost: u32) {
         // A half-cycle has 267 at most, and the third trips.
-        let lost_ns = lost.min(300) * self.clock.block_ns();
+        let lost_ns = lost.min(300) * self.adc_block_ns();
         self.clock.pass(lost_ns);
         self.housekeeping_gap.add(lost_ns);
         if !self.replaying {

@@ -46,7 +46,7 @@ message_table! { 'a;
         /// Board or host name.
         board: String<32>,
     }
-    /// Requests power; 0 switches off. More than the rating is taken as the rating, up to 10 000 W. A device that receives no request for 10 s switches off by itself.
+    /// Requests power; 0 switches off. More than the rating is taken as the rating, up to 10 000 W. Without a request for 10 s the host's power ends by itself; the panel's goes on.
     0x02 Request SetPower -> Reply {
         /// Mean power over a half-cycle, in watt.
         power_w: u16,
@@ -208,7 +208,7 @@ message_table! { 'a;
         coil_c: i16,
         /// `true` while the fan runs.
         fan: bool,
-        /// Level chosen at the panel, 0 to 9; 255 where no panel was ever touched.
+        /// Level chosen at the panel, 0 to 9; 255 while its setting is not in force, as before the first touch, and after a host has switched off.
         panel_level: u8,
         /// `true` while the panel's keys are locked.
         key_locked: bool,
@@ -257,7 +257,7 @@ message_table! { 'a;
         /// Largest coil voltage of the half-cycle's samples, in decivolt; that of the fundamental where
         /// no sample is known.
         v_coil_peak_dv: u16,
-        /// Smallest current at a turn-off, in milliampere; negative where it flows the wrong way.
+        /// Smallest current at a turn-off, in milliampere; negative where it flows the wrong way; 0 where none was seen.
         i_turn_off_min_ma: i32,
         /// Reason for which the hob has switched itself off.
         off_reason: OffReason,
@@ -547,7 +547,7 @@ impl Configure {
 /// Value of a temperature of [`Status`] if no sensor is fitted.
 pub const NO_SENSOR_C: i16 = -300;
 
-/// Value of [`Status::panel_level`] if no panel was ever touched.
+/// Value of [`Status::panel_level`] while the panel's setting is not in force.
 pub const NO_PANEL: u8 = u8::MAX;
 
 /// Hash of the whole table: names, ids, fields, types and enumeration numbers. Not the faults: they

@@ -131,7 +131,7 @@ fn start(
     housekeeping.restore_control(&mut thread_side, kept, fault);
     housekeeping.set_identity(service::identity(reset_flags, last, &self_test));
     housekeeping.set_log(&LINK_LOG);
-    let pages = lookup_pages(p.FLASH, housekeeping);
+    let pages = lookup_pages(p.FLASH, housekeeping, &mut thread_side);
     let led = Led::new();
     // The thresholds first, then what compares with them, then what could switch on.
     registers::comparators::start();
@@ -239,13 +239,14 @@ fn option_bytes_ok() -> bool {
 fn lookup_pages(
     flash: Peri<'static, peripherals::FLASH>,
     housekeeping: &mut Housekeeping,
+    path: &mut ThreadSide,
 ) -> LookupPages {
     let two_banks = registers::supply::has_two_banks();
     let (pages, lookup) = LookupPages::load(two_banks.then(|| Flash::new(flash, Irqs)));
     match lookup {
         Some(lookup) => {
             defmt::info!("lookup {=u32} from flash", lookup.version);
-            housekeeping.restore(lookup);
+            housekeeping.restore(path, lookup);
         }
         None => defmt::info!("no lookup in flash"),
     }

@@ -3,8 +3,8 @@
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::Pot;
 
-use crate::control::controller::Control;
 use crate::control::controller::state::ControlState;
+use crate::control::controller::{Control, GOOD_HALF_CYCLES};
 use crate::control::heating::Heating;
 use crate::control::pot::{FirstProbe, classify};
 use crate::control::status::{Action, SamplingStatus};
@@ -26,6 +26,7 @@ impl Control {
             || status.switching
             || status.fault != Fault::NONE
             || self.parts.supply_share.is_sought()
+            || self.good_half_cycles < GOOD_HALF_CYCLES
             || !self.parts.restart.permits(status.now_ms)
         {
             return Action::Keep;

@@ -31,6 +31,7 @@ struct Bench {
     ms: u32,
     load: Load,
     off_at_crossing: bool,
+    half_cycle_ns: u32,
     probe_requested: Option<PotProbe>,
     probes: u32,
 }
@@ -45,6 +46,7 @@ impl Bench {
             ms: 0,
             load,
             off_at_crossing: false,
+            half_cycle_ns: 10_000_000,
             probe_requested: None,
             probes: 0,
         }
@@ -120,7 +122,7 @@ impl Bench {
         let (r, l, i) = self.load;
         HalfCycle {
             f_sw_hz: if on { self.drive.f_sw_hz } else { 0 },
-            duration_ns: 10_000_000,
+            duration_ns: self.half_cycle_ns,
             crest: CurrentCrest {
                 r: MicroOhm((r * 1e6) as i32),
                 l: PicoHenry((l * 1e6) as i32),
@@ -282,6 +284,26 @@ fn a_fault_of_the_mains_passes_with_it() {
         bench.run(45);
         assert_eq!(bench.control.state(), State::Heating);
     }
+}
+
+/// A mains of 40 Hz, and a host that clears its fault again and again.
+#[test]
+fn a_fault_of_the_mains_that_is_cleared_passes_no_sooner() {
+    let mut bench = heating();
+    bench.half_cycle_ns = 12_500_000;
+    bench.trip(Fault::MAINS_IRREGULAR);
+    bench.run(1);
+    let probes = bench.probes;
+    for _ in 0..20 {
+        let action = bench.control.clear_fault();
+        bench.act(action);
+        bench.ask(1_500);
+        bench.run(25);
+        assert_eq!((bench.control.state(), bench.probes), (State::Idle, probes));
+    }
+    bench.half_cycle_ns = 10_000_000;
+    bench.run(8);
+    assert_eq!(bench.control.state(), State::Heating);
 }
 
 #[test]

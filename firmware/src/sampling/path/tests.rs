@@ -171,6 +171,19 @@ fn after_a_replay_no_switch_closes_before_the_mains_has_passed_its_zero() {
     assert_eq!(seen.last(), Some(&Bridge::Switching));
 }
 
+/// Blocks of a recording at 34 kHz last 88 µs, but the ADC's go on as with an open bridge: pauses and times of cooking count those.
+#[test]
+fn a_recording_does_not_hasten_the_clock() {
+    let mut board = Board::new();
+    let (r, l) = (MicroOhm(4_000_000), PicoHenry(26_000_000));
+    board.sampling_path.set_replay(true, 34_000, r, l);
+    let from_ms = board.sampling_path.now_ms();
+    // One second of 37.5 µs each.
+    board.run(26_667);
+    let passed_ms = board.sampling_path.now_ms() - from_ms;
+    assert!((999..=1_001).contains(&passed_ms), "{passed_ms} ms");
+}
+
 /// Runs a board that records every half-cycle for a second. One or two blocks of so many half-cycles never come, as a late interrupt
 /// loses them. Returns the windows' headers and the board.
 fn run_with_losses(lost: u32, every: u32) -> (Vec<WindowHeader>, Board) {

@@ -59,6 +59,8 @@ fn pll_beside() -> Config {
     config.rcc.sys = rcc::Sysclk::HSI;
     // Errata, "Unstable LSI when it clocks RTC": after a brown-out it may run at three halves of its frequency.
     config.rcc.ls.rtc = rcc::RtcClockSource::DISABLE;
+    // embassy-stm32 would wait for it without end; `low_speed` starts it.
+    config.rcc.ls.lsi = false;
     // It would write another bit than R1MODE.
     config.rcc.boost = false;
     config.rcc.hsi48 = Some(rcc::Hsi48Config {

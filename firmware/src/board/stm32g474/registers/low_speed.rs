@@ -12,13 +12,12 @@ const TI1_LSI: u8 = 6;
 
 const DIVIDER: u32 = CORE_MHZ * 1_000_000 / COUNTS_PER_S;
 
-/// TIM, "Input capture mode": channel 1 on TI1, every eighth edge. Its clock is that of APB2, which is not divided. LSI runs
-/// already: embassy-stm32 starts it.
+/// TIM, "Input capture mode": channel 1 on TI1, every eighth edge. Its clock is that of APB2, which is not divided. LSI is not waited for:
+/// one that does not start is a capture that does not come.
 pub fn start() {
     const { assert!(PERIODS == 8, "IC1PSC = 3") };
     rcc::enable_and_reset::<peripherals::TIM16>();
     pac::RCC.csr().modify(|w| w.set_lsion(true));
-    while !pac::RCC.csr().read().lsirdy() {}
     let timer = pac::TIM16;
     timer.tisel().write(|w| w.set_tisel(0, TI1_LSI));
     timer.ccmr_input(0).write(|w| {
