@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 /// Applies `work` to every job on as many threads as there are cores; results are in the jobs' order.
 ///
 /// # Panics
-/// Where `work` does.
+/// If `work` panics.
 pub fn in_parallel<J: Sync, R: Send>(jobs: &[J], work: impl Fn(&J) -> R + Sync) -> Vec<R> {
     let workers = std::thread::available_parallelism().map_or(1, usize::from);
     let (next, results) = (AtomicUsize::new(0), Mutex::new(Vec::new()));

@@ -112,6 +112,15 @@ fn half_cycles_are_a_line_each() {
     assert!((0.5..10.0).contains(&number(last, r)), "{last:?}");
 }
 
+/// Writes a recording as arrays; returns the archive's path.
+fn packed(recording: &Path, archive: &Path) -> PathBuf {
+    let folder = archive.parent().unwrap();
+    let spool = || tempfile::tempfile_in(folder);
+    let out = File::create(archive).unwrap();
+    recording_npz(recording, out, &spool, &generous(&NEVER)).unwrap();
+    archive.to_owned()
+}
+
 /// Numbers of an array in an archive.
 fn array(path: &Path, name: &str) -> (String, Vec<u8>) {
     let mut archive = zip::ZipArchive::new(File::open(path).unwrap()).unwrap();
@@ -137,15 +146,7 @@ fn arrays_hold_samples_windows_and_half_cycles() {
     let dir = tempfile::tempdir().unwrap();
     let path = recorded(dir.path(), 1_000);
     let capture = mcap::read(&path).unwrap();
-    let packed = dir.path().join("a.npz");
-    let spool = || tempfile::tempfile_in(dir.path());
-    recording_npz(
-        &path,
-        File::create(&packed).unwrap(),
-        &spool,
-        &generous(&NEVER),
-    )
-    .unwrap();
+    let packed = packed(&path, &dir.path().join("a.npz"));
     let times = doubles(&packed, "time_s");
     assert_eq!(times.len(), capture.len());
     let at = |k| capture.time.at(k).unwrap() - TRIGGER_S;
@@ -268,14 +269,7 @@ fn limits_hold_and_a_cut_file_gives_what_is_whole() {
     let (some, damage) = lines(&spoilt);
     assert!(some < all && damage.damaged == 1, "{damage}");
     // The arrays carry the losses along.
-    let packed = dir.path().join("damaged.npz");
-    recording_npz(
-        &path,
-        File::create(&packed).unwrap(),
-        &spool,
-        &generous(&NEVER),
-    )
-    .unwrap();
+    let packed = packed(&path, &dir.path().join("damaged.npz"));
     let mut archive = zip::ZipArchive::new(File::open(&packed).unwrap()).unwrap();
     let mut notes = String::new();
     let mut member = archive.by_name("metadata.json").unwrap();
