@@ -144,6 +144,9 @@ impl Service {
         lock: &mut impl SamplingLock,
         board: &mut impl BoardServices,
     ) -> Option<(Number, Response)> {
+        if self.job.is_none() && !self.is_leaving() {
+            return None;
+        }
         let now_ms = lock.with(|path| path.now_ms());
         if let Some((into, since_ms)) = self.leaving {
             if now_ms.wrapping_sub(since_ms) >= RESTART_AFTER_MS {

@@ -46,11 +46,11 @@ impl LookupMessage {
         !self.in_use && self.refused.is_none()
     }
 
-    /// Returns the serialised lookup.
+    /// Returns the lookup.
     ///
     /// # Errors
     /// Text if the digits or the lookup are invalid.
-    pub fn blob(&self) -> Result<Vec<u8>, String> {
+    pub fn decode(&self) -> Result<RlLookup, String> {
         let digits = self.blob.as_bytes();
         let byte = |pair: &[u8]| {
             let text = std::str::from_utf8(pair).ok()?;
@@ -58,8 +58,7 @@ impl LookupMessage {
         };
         let bytes: Option<Vec<u8>> = digits.chunks(2).map(byte).collect();
         let bytes = bytes.ok_or("its lookup is not in hexadecimal digits")?;
-        RlLookup::from_bytes(&bytes).map_err(|e| e.to_string())?;
-        Ok(bytes)
+        RlLookup::from_bytes(&bytes).map_err(|e| e.to_string())
     }
 }
 
@@ -156,13 +155,13 @@ mod tests {
     #[test]
     fn a_lookup_travels_and_what_is_none_is_refused() {
         let message = LookupMessage::new(&prior(), "lab", true);
-        assert_eq!(message.blob().unwrap(), prior().to_bytes());
+        assert_eq!(message.decode(), Ok(prior()));
         for blob in ["", "0", "zz", &message.blob[2..]] {
             let wrong = LookupMessage {
                 blob: blob.to_owned(),
                 ..message.clone()
             };
-            assert!(wrong.blob().is_err(), "{blob:?}");
+            assert!(wrong.decode().is_err(), "{blob:?}");
         }
     }
 }

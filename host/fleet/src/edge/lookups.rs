@@ -139,8 +139,8 @@ async fn reconcile(link: &Link, bucket: &kv::Store, hob: &str) -> Result<(), Str
         return Ok(());
     };
     let known = there.filter(|there| there.in_use);
-    let known = known.and_then(|there| there.blob().ok());
-    if known == Some(active.to_bytes().to_vec()) {
+    let known = known.and_then(|there| there.decode().ok());
+    if known.as_ref() == Some(&active) {
         return Ok(());
     }
     let message = LookupMessage::new(&active, &link.edge, true);
@@ -206,12 +206,8 @@ pub(super) async fn push(
     if !is_free(link, hob) {
         return Ok(PushOutcome::Waits);
     }
-    let decoded = requested.blob().and_then(|blob| {
-        let lookup = RlLookup::from_bytes(&blob).map_err(|e| e.to_string())?;
-        Ok((blob, lookup))
-    });
-    let (blob, lookup) = match decoded {
-        Ok(decoded) => decoded,
+    let lookup = match requested.decode() {
+        Ok(lookup) => lookup,
         Err(why) => return Ok(PushOutcome::Refused(why)),
     };
     let in_use = active(link, hob).await?;
@@ -234,6 +230,7 @@ pub(super) async fn push(
             )));
         }
     }
+    let blob = lookup.to_bytes().to_vec();
     let command = Command::LookupPush { blob };
     let done = link.daemon.command(hob, HOLDER, command).await;
     done.map(|done| PushOutcome::InUse(done.text))

@@ -83,8 +83,7 @@ fn again(hob: &str, revision: u64, me: &str, access: &AccessArgs, global: &Globa
         let wanted = wanted.with_context(|| {
             format!("{hob} has no revision {revision}: ihd-fleet lookup ls {hob}")
         })?;
-        let blob = wanted.lookup.blob().map_err(anyhow::Error::msg)?;
-        let lookup = RlLookup::from_bytes(&blob)?;
+        let lookup = wanted.lookup.decode().map_err(anyhow::Error::msg)?;
         Ok(lookups::request(&context, hob, &lookup, me).await?)
     })?;
     say!(
