@@ -44,3 +44,36 @@ test("a page that is left waits until its leases are given back", async () => {
   await leases.releaseAll("you logged out", {});
   assert.deepEqual([leases.heated(), requests], [[], ["DELETE lease"]]);
 });
+
+/** Runs what waits for answers until nothing does. */
+const settle = () => new Promise((done) => setImmediate(done));
+
+test("a second power that overtakes the first is the one that is shown and held", async () => {
+  const answers = [];
+  mock.method(globalThis, "fetch", (url, { method }) => {
+    requests.push(`${method} ${new URL(url).pathname.split("/").at(-1)}`);
+    return new Promise((answer) => answers.push(() => answer(new Response("{}", { status: 200 }))));
+  });
+  const posted = [];
+  leases.worker.postMessage = ({ type, device }) => posted.push(`${type} ${device}`);
+  const first = leases.heat("hall", { command: "power", power_w: 500 });
+  const second = leases.heat("hall", { command: "power", power_w: 1500 });
+  const refused = assert.rejects(first, /set anew/);
+  answers.shift()();
+  await refused;
+  while (answers.length) {
+    answers.shift()();
+    await settle();
+  }
+  await second;
+  const { phase, power_w } = leases.state("hall");
+  assert.deepEqual([phase, power_w, posted], ["held", 1500, ["hold hall"]]);
+  assert.deepEqual(requests, ["PUT lease", "PUT lease", "POST commands"]);
+});
+
+test("a lease that is renewed for a device which the page does not heat is dropped", () => {
+  const posted = [];
+  leases.worker.postMessage = ({ type, device }) => posted.push(`${type} ${device}`);
+  leases.worker.dispatchEvent(new MessageEvent("message", { data: { device: "hall", ok: true, asked_ms: 0 } }));
+  assert.deepEqual(posted, ["drop hall"]);
+});

@@ -1,5 +1,5 @@
 // @ts-check
-/** A question with answers. Off in the header stays within reach: all else is inert meanwhile. */
+/** A question with answers. Off in the header stays within reach, also by a screen reader: all else is inert meanwhile, and the dialog is not `aria-modal`. */
 
 import { h } from "./dom.js";
 
@@ -33,7 +33,7 @@ export function ask(question) {
     const buttons = question.answers.map((answer) =>
       h("button", { type: "button", class: answer.danger ? "danger" : "strong", data: { answer: answer.value }, on: { click: () => close(answer.value) } }, answer.label));
     const cancel = h("button", { type: "button", data: { answer: "cancel" }, on: { click: () => close(null) } }, "Cancel");
-    const box = h("div", { class: "question", role: "dialog", "aria-modal": "true", "aria-labelledby": `${id}-title`, "aria-describedby": `${id}-text`, tabindex: "-1" },
+    const box = h("div", { class: "question", role: "dialog", "aria-labelledby": `${id}-title`, "aria-describedby": `${id}-text`, tabindex: "-1" },
       h("h2", { id: `${id}-title` }, question.title),
       h("p", { id: `${id}-text` }, question.text),
       question.input ?? null,

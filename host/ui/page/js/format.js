@@ -124,6 +124,15 @@ export function dateTime(at_ms) {
 }
 
 /**
+ * Time of day, with the date before it where that is not today's.
+ * @param {number} at_ms since 1970
+ * @returns {string}
+ */
+export function moment(at_ms) {
+  return new Date(at_ms).toDateString() === new Date().toDateString() ? clock(at_ms) : dateTime(at_ms);
+}
+
+/**
  * Date and time in UTC, for files: `2026-11-22T20:14:05.123Z`.
  * @param {number} at_ms since 1970
  * @returns {string}

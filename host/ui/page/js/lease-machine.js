@@ -21,6 +21,7 @@ export const LATE_MS = 6500;
  *   LeaseState
  * @typedef {{type: "take", power_w: number, at_ms: number}
  *   | {type: "powered", power_w: number, asked_w?: number, at_ms: number}
+ *   | {type: "reported", power_w: number}
  *   | {type: "renewed", at_ms: number}
  *   | {type: "tick", at_ms: number, lease_ms: number}
  *   | {type: "refused", why: string}
@@ -56,6 +57,9 @@ export function step(state, event) {
       return state.phase === "none" || state.phase === "lost"
         ? state
         : { phase: "held", power_w: event.power_w, asked_w: event.asked_w, renewed_ms: event.at_ms, why: "" };
+    case "reported":
+      // The answer to a command may be lost, and two commands may change places on their way.
+      return holds && state.power_w !== event.power_w ? { ...state, power_w: event.power_w, asked_w: event.power_w } : state;
     case "renewed":
       return holds ? { ...state, phase: "held", renewed_ms: Math.max(state.renewed_ms, event.at_ms), why: "" } : state;
     case "tick":

@@ -72,7 +72,7 @@ export class Leases {
     this.#step(device, { type: "take", power_w, at_ms: steady_ms() });
     try {
       await api.takeLease(device, force);
-      if (this.turns.get(device) !== turn) throw new api.ApiError(0, { error: "off", message: "it was switched off meanwhile" });
+      if (this.turns.get(device) !== turn) throw new api.ApiError(0, { error: "overtaken", message: "it was switched off, or set anew, meanwhile" });
       this.#hold(device);
       const asked_ms = steady_ms();
       const done = await api.command(device, body).finally(() => {
@@ -86,6 +86,8 @@ export class Leases {
       }
       return done;
     } catch (why) {
+      // The lease is that of the command which came after.
+      if (this.turns.get(device) !== turn && this.heated().includes(device)) throw why;
       this.#step(device, { type: "refused", why: String(/** @type {any} */ (why)?.message ?? why) });
       if (this.state(device).phase === "none") {
         this.#drop(device);
@@ -177,6 +179,8 @@ export class Leases {
       this.worker.postMessage({ type: "pong" });
     } else if (told.type === "given-back") {
       this.#step(told.device, { type: "ended", why: "this page did not answer for 4 s, so its power was given up" });
+    } else if (!this.heated().includes(told.device)) {
+      this.#drop(told.device);
     } else if (told.ok) {
       this.#step(told.device, { type: "renewed", at_ms: told.asked_ms });
     } else if (told.status === 423) {
@@ -207,6 +211,8 @@ export class Leases {
       else this.#ended(report.name, "the daemon asks for no power any more: it was switched off, or the daemon was started anew");
     } else if (report.lease && report.lease.holder !== api.holder()) {
       this.#step(report.name, { type: "taken", by: report.lease.holder });
+    } else if (!this.sweeping.has(report.name)) {
+      this.#step(report.name, { type: "reported", power_w: report.asked_by_daemon_w });
     }
   }
 

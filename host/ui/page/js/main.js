@@ -41,7 +41,7 @@ function complain(text, why) {
   const message = why instanceof Error ? `${text}: ${why.message}` : text;
   if ([...alarms.children].some((row) => /** @type {HTMLElement} */ (row).dataset.text === message)) return;
   const row = h("div", { class: "alarm", data: { text: message } }, message, " ", h("button", { type: "button", class: "small", on: { click: () => row.remove() } }, "Close"));
-  while (alarms.childElementCount >= 5) alarms.querySelector(".alarm:not(.off-alarm)")?.remove() ?? alarms.firstElementChild?.remove();
+  while (alarms.childElementCount >= 5) (alarms.querySelector(".alarm:not(.off-alarm)") ?? alarms.firstElementChild)?.remove();
   alarms.append(row);
 }
 

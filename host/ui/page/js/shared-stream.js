@@ -18,7 +18,15 @@ export function isShared() {
  * @returns {Source}
  */
 export function openStream(url) {
-  return isAlone ? new EventSource(url) : new SharedSource(url);
+  if (!isAlone) {
+    try {
+      return new SharedSource(url);
+    } catch {
+      // A browser that denies storage denies shared workers.
+      isAlone = true;
+    }
+  }
+  return new EventSource(url);
 }
 
 /**

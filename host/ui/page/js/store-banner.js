@@ -2,7 +2,7 @@
 /** The store's failure: a banner that stands for as long as it lasts, whenever the page was opened. */
 
 import { h } from "./dom.js";
-import { clock } from "./format.js";
+import { moment } from "./format.js";
 
 /** Between two questions while it lasts, in milliseconds. */
 const ASK_AGAIN_MS = 10_000;
@@ -25,7 +25,7 @@ export function bannerLines(health) {
     .filter(([n]) => Number(n) > 0)
     .map(([n, one, many]) => `${n} ${n === 1 ? one : many}`);
   return [
-    `The daemon does not store everything: ${failure.text}, since ${clock(failure.since_ms)}.`,
+    `The daemon does not store everything: ${failure.text}, since ${moment(failure.since_ms)}.`,
     dropped.length > 0 ? `Lost since then: ${dropped.join(", ")}.` : "Nothing is lost so far.",
     failure.advice,
   ];

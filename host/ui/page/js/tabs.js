@@ -30,7 +30,7 @@ export class Tabs {
     /** Others, and when each was heard last. @type {Map<string, number>} */
     this.others = new Map();
     this.changed = changed;
-    this.channel = new BroadcastChannel("ihd-pages");
+    this.channel = openChannel();
     this.channel.addEventListener("message", (event) => this.#heard(event.data));
     addEventListener("pagehide", () => this.channel.postMessage({ id: this.own, gone: true }));
     addEventListener("pageshow", () => this.#say(true));
@@ -78,5 +78,14 @@ export class Tabs {
     if (told.leaves) this.giveUp().then(() => this.channel.postMessage({ id: this.own, gaveUp: true }));
     if (told.gaveUp || told.gone) this.#gaveUp(told.id);
     if (this.others.size !== before) this.changed();
+  }
+}
+
+/** @returns {BroadcastChannel | MessagePort} the channel of all pages; one that nobody hears where the browser denies storage */
+function openChannel() {
+  try {
+    return new BroadcastChannel("ihd-pages");
+  } catch {
+    return new MessageChannel().port1;
   }
 }

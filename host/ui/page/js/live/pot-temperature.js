@@ -2,10 +2,10 @@
 /** How much warmer the pot is than when it was put on: number, curve with ± σ, and what R and L show of it. */
 
 import { h, setAttribute, setText, svg } from "../dom.js";
-import { clock, fixed, NOTHING } from "../format.js";
+import { fixed, moment, NOTHING } from "../format.js";
 
-/** Between two questions for the curve, in milliseconds: the daemon keeps a point every two seconds. */
-const EVERY_MS = 2000;
+/** Between two requests of the curve, in milliseconds: one of an hour has 1800 points. */
+const EVERY_MS = 5000;
 
 /** The drawing's own units. */
 const WIDTH = 300;
@@ -53,13 +53,16 @@ export class PotTemperatureView {
   async #ask() {
     const { api, device } = this.context;
     try {
-      const curve = await api.get(api.path(["devices", device, "pot-temperature"]));
+      const curve = document.hidden ? null : await api.get(api.path(["devices", device, "pot-temperature"]));
       if (this.stopped) return;
-      this.#show(curve.now);
-      this.#draw(curve.points);
-    } catch {
-      // The header says when the daemon is gone; what is shown is not known any more.
-      if (!this.stopped) this.#show(null);
+      if (curve) {
+        this.#show(curve.now);
+        this.#draw(curve.points);
+      }
+    } catch (why) {
+      if (this.stopped) return;
+      this.#show(null);
+      setText(this.says, `not known: ${why instanceof Error ? why.message : why}`);
     }
     if (!this.stopped) this.timer = setTimeout(() => this.#ask(), EVERY_MS);
   }
@@ -90,7 +93,7 @@ export function potWords(now) {
   if (!now) return "not known: it is followed from when heating begins";
   const states = [now.overheats && "overheats", now.boils && "boils", now.bubbles && !now.boils && "bubbles at its base"].filter(Boolean);
   const prior = `by its heat alone ${signed(now.prior_k)} ± ${fixed(now.prior_sigma_k, 0)}\u00a0K`;
-  return [`since it was put on, ${clock(now.since_ms)}`, prior, ...states, `lift ${fixed(now.lift_mm, 1)} ± ${fixed(now.lift_sigma_mm, 1)}\u00a0mm`].join("; ");
+  return [`since it was put on, ${moment(now.since_ms)}`, prior, ...states, `lift ${fixed(now.lift_mm, 1)} ± ${fixed(now.lift_sigma_mm, 1)}\u00a0mm`].join("; ");
 }
 
 /**

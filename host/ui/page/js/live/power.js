@@ -20,7 +20,7 @@ export class Power {
     const power = phase === "held" || phase === "late" ? asked_w : Math.round(most / 2 / 50) * 50;
     const input = { min: "0", step: "10" };
     this.input = h("input", { ...input, max: String(context.hob.requested_power_max_w), id: "power", type: "number", inputmode: "numeric", "aria-describedby": "power-says", data: { testid: "power-input" }, value: String(power),
-      on: { input: () => this.#copy(this.input, this.slider), keydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && this.#set() } });
+      on: { input: () => this.#copy(this.input, this.slider), keydown: (/** @type {KeyboardEvent} */ event) => event.key === "Enter" && !event.repeat && this.#set() } });
     this.slider = h("input", { ...input, max: String(most), step: "50", type: "range", "aria-label": "Power in watt", data: { testid: "power-slider" }, value: this.input.value,
       on: { input: () => this.#copy(this.slider, this.input), change: () => this.#rest() } });
     this.button = h("button", { type: "button", class: "strong", data: { testid: "power-set" }, on: { click: () => this.#set() } }, "Set");
@@ -101,6 +101,7 @@ export class Power {
   async #set() {
     clearTimeout(this.resting);
     const { device, off, hob, announce, leases, api } = this.context;
+    if (leases.state(device).phase === "taking") return;
     if (leases.heated().length === 0) api.useOwnName();
     const power_w = Number(this.input.value);
     setText(this.problem, "");

@@ -33,6 +33,15 @@ const MAX_MEANWHILE = 500;
 
 const KEY = "ihd-trend-seconds";
 
+/** @returns {string | null} length that was chosen last, in seconds */
+function rememberedLength() {
+  try {
+    return sessionStorage.getItem(KEY);
+  } catch {
+    return null;
+  }
+}
+
 export class Trends {
   /**
    * @param {HTMLElement} root
@@ -41,7 +50,7 @@ export class Trends {
   constructor(root, context) {
     this.context = context;
     this.columns = new TrendColumns();
-    this.length = LENGTHS.find((one) => String(one.seconds) === sessionStorage.getItem(KEY)) ?? LENGTHS[1];
+    this.length = LENGTHS.find((one) => String(one.seconds) === rememberedLength()) ?? LENGTHS[1];
     /** @type {{from: number, to: number} | null} what a person zoomed to, in seconds since 1970; null: it follows */
     this.view = null;
     /** Time of the last telemetry: the daemon's clock, which a past is asked for by. */

@@ -36,7 +36,7 @@ export class Files {
     this.rows = new Map();
     /** @type {Map<string, AbortController>} conversions under way */
     this.conversions = new Map();
-    this.read_ms = 0;
+    this.read_ms = -Infinity;
     this.ended = new AbortController();
     this.reads = new Newest(() => this.read(), (why) => this.failed(why));
     this.list = h("tbody", null);
@@ -57,17 +57,16 @@ export class Files {
     ];
   }
 
-  /** Ends readings and conversions. */
+  /** Ends readings. Conversions go on: they belong to the page, not to the view. */
   stop() {
     this.reads.stop();
     this.ended.abort();
-    for (const conversion of this.conversions.values()) conversion.abort();
   }
 
   /** Reads again while a file grows. @param {boolean} recording whether something is being recorded */
   tick(recording) {
     const underWay = recording || this.files.some((file) => file.under_way);
-    if (underWay && !document.hidden && Date.now() - this.read_ms > AGAIN_MS) this.load();
+    if (underWay && !document.hidden && performance.now() - this.read_ms > AGAIN_MS) this.load();
   }
 
   load() {
@@ -75,7 +74,7 @@ export class Files {
   }
 
   async read() {
-    this.read_ms = Date.now();
+    this.read_ms = performance.now();
     const files = await this.context.api.get("recordings", { signal: this.ended.signal });
     if (this.ended.signal.aborted) return;
     this.files = files;
@@ -165,7 +164,7 @@ export class Files {
       setText(told, "");
       this.context.announce(`${file.file} was saved as ${name}`);
     } catch (why) {
-      if (this.ended.signal.aborted) return;
+      if (this.ended.signal.aborted) this.context.complain(`${file.file} is not saved as ${name}`, why);
       told.className = conversion.signal.aborted ? "recordings-told quiet" : "recordings-told bad";
       setText(told, conversion.signal.aborted ? "cancelled" : `${name}: ${why instanceof Error ? why.message : why}`);
     } finally {

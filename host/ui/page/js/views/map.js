@@ -67,7 +67,7 @@ class MapView {
     this.trail = [];
     this.on = false;
     this.read_ms = 0;
-    this.asked_ms = 0;
+    this.asked_ms = -Infinity;
     this.listWanted = true;
     this.timer = 0;
     this.stop = new AbortController();
@@ -175,7 +175,7 @@ class MapView {
         this.timer = 0;
         if (!document.hidden) this.load(false);
       },
-      Math.max(AGAIN_MS - (Date.now() - this.asked_ms), 0),
+      Math.max(AGAIN_MS - (performance.now() - this.asked_ms), 0),
     );
   }
 
@@ -204,7 +204,8 @@ class MapView {
   /** Reads everything that is shown. */
   async read() {
     const { api } = this.context;
-    this.asked_ms = Date.now();
+    this.asked_ms = performance.now();
+    const read_ms = Date.now();
     const listed = this.listWanted;
     this.listWanted = false;
     const lookups = listed ? api.get(api.path(["devices", this.device, "lookups"]), { signal: this.stop.signal }) : this.rows;
@@ -215,7 +216,7 @@ class MapView {
       own && (version === null || version === own.version) ? own : this.fetchMap(version ?? 0);
     const [shown, reference] = await Promise.all([other(this.wanted), other(this.against)]);
     if (this.stop.signal.aborted) return;
-    Object.assign(this, { own, rows, shown, reference, read_ms: this.asked_ms });
+    Object.assign(this, { own, rows, shown, reference, read_ms });
     this.state.hidden = true;
     this.content.hidden = false;
     this.tell();
@@ -273,7 +274,7 @@ class MapView {
   picture() {
     const map = this.shown;
     if (!map) return null;
-    const older_s = (Date.now() - this.read_ms) / 1000;
+    const older_s = Math.max(0, Date.now() - this.read_ms) / 1000;
     this.tables = Object.fromEntries(QUANTITIES.map((q) => [q.id, values(map, q.id, this.reference, older_s)]));
     const table = this.tables[this.quantity.id];
     const scale = scaleOf(this.quantity, table);

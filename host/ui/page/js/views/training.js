@@ -41,7 +41,7 @@ class TrainingView {
     this.limit = 50;
     this.whole = false;
     this.timer = 0;
-    this.read_ms = 0;
+    this.read_ms = -Infinity;
     /** @type {Map<string, any>} */
     this.rows = new Map();
     this.stop = new AbortController();
@@ -130,7 +130,7 @@ class TrainingView {
         this.timer = 0;
         this.load(false);
       },
-      Math.max(AGAIN_MS - (Date.now() - this.read_ms), 0),
+      Math.max(AGAIN_MS - (performance.now() - this.read_ms), 0),
     );
   }
 
@@ -146,7 +146,7 @@ class TrainingView {
     const whole = this.whole;
     const limit = whole ? this.limit : Math.min(NEWEST, this.limit);
     this.whole = false;
-    this.read_ms = Date.now();
+    this.read_ms = performance.now();
     /** @type {Fit[]} */
     const page = await api.get(api.path(["devices", this.device, "training"], { limit }), { signal: this.stop.signal });
     if (this.stop.signal.aborted) return;
