@@ -8,8 +8,6 @@ use clap::error::ErrorKind;
 use ihd::cli::{self, Cli, moved, output};
 
 fn main() -> ExitCode {
-    #[cfg(unix)]
-    sigpipe::reset();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(answer) => {
@@ -25,7 +23,7 @@ fn main() -> ExitCode {
     match cli.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            output::complain(format_args!("ihd: {}", cli::message(&error)));
+            cli::exit::complain("ihd", &error);
             cli::exit::exit_of(&error).into()
         }
     }

@@ -130,7 +130,7 @@ fn holder() -> String {
         .iter()
         .find_map(|name| std::env::var(name).ok())
         .unwrap_or_else(|| "somebody".into());
-    format!("{person} (ihd device, process {})", std::process::id())
+    format!("{person} (ihd, process {})", std::process::id())
 }
 
 #[cfg(test)]

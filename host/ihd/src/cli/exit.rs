@@ -109,6 +109,13 @@ pub fn exit_of(error: &Error) -> Exit {
     exit.unwrap_or(Exit::Failed)
 }
 
+/// Prints the error of a program. Nothing where the reader of standard output went away, as `head` does.
+pub fn complain(program: &str, error: &Error) {
+    if !error.is::<super::output::OutputClosed>() {
+        super::output::complain(format_args!("{program}: {}", super::message(error)));
+    }
+}
+
 /// Returns `exit` for any error of type `E`.
 fn all<E: std::error::Error + Send + Sync + 'static>(error: &Error, exit: Exit) -> Option<Exit> {
     error.is::<E>().then_some(exit)
@@ -140,7 +147,8 @@ fn of_command(error: &ihd_model::CommandError) -> Exit {
     use ihd_model::CommandError as E;
     match error {
         E::NotConnected { .. } | E::Refused { .. } => Exit::NoDevice,
-        E::NoDevice { .. } | E::Leased { .. } | E::Failed { .. } => Exit::Failed,
+        E::NoDevice { .. } => Exit::Usage,
+        E::Leased { .. } | E::Failed { .. } => Exit::Failed,
     }
 }
 

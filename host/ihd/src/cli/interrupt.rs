@@ -13,6 +13,7 @@ const IN_ORDER_WITHIN: Duration = Duration::from_secs(3);
 /// Returns a flag that Ctrl-C or a termination signal raises. A second one leaves the command 3 s to switch the hob off, a third
 /// ends the process at once.
 ///
+/// # Errors
 /// If the handler cannot be installed.
 pub fn flag() -> Result<&'static AtomicBool, ctrlc::Error> {
     ctrlc::set_handler(|| {

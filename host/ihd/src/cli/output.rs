@@ -2,7 +2,7 @@
 //! escaped.
 
 use std::fmt::Arguments;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
@@ -138,11 +138,17 @@ fn parts_text(coloured: bool, parts: &[(Colour, String)]) -> String {
     out + "\n"
 }
 
+/// Error of standard output whose reader is gone. A command that heats ends with the hob off, as after any error.
+#[derive(Debug, thiserror::Error)]
+#[error("nothing reads standard output any more")]
+pub struct OutputClosed;
+
 fn raw(bytes: &[u8]) -> Result<()> {
     let mut out = std::io::stdout().lock();
-    out.write_all(bytes)
-        .and_then(|()| out.flush())
-        .context("cannot write to standard output")
+    match out.write_all(bytes).and_then(|()| out.flush()) {
+        Err(error) if error.kind() == ErrorKind::BrokenPipe => Err(OutputClosed.into()),
+        written => written.context("cannot write to standard output"),
+    }
 }
 
 /// Escapes control characters other than line ends and tabs as `\u{1b}`.

@@ -166,6 +166,8 @@ pub fn start_log(format: LogFormat, level: tracing::Level) -> Result<()> {
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)
+        // A reader of the log that is gone ends nothing: they would be printed where nothing can be.
+        .log_internal_errors(false)
         .with_ansi(std::io::stderr().is_terminal());
     let started = match format {
         LogFormat::Text => log.with_target(false).try_init(),

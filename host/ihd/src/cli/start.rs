@@ -100,12 +100,13 @@ fn without_anything() -> Vec<NextStep> {
 fn boards() -> Vec<NextStep> {
     // A machine without USB has no boards on it; `ihd doctor` tells why.
     let boards = usb::boards().unwrap_or_default();
-    let step = |board: usb::UsbBoard| {
-        let usb::UsbBoard { serial, product } = board;
-        let command = format!("ihd doctor --device usb:{serial}");
-        NextStep::new(format!("{product} {serial} on USB"), command, "checks it")
-    };
-    boards.into_iter().map(step).collect()
+    boards.iter().map(of_board).collect()
+}
+
+fn of_board(board: &usb::UsbBoard) -> NextStep {
+    let usb::UsbBoard { serial, product } = board;
+    let command = format!("ihd doctor usb:{serial}");
+    NextStep::new(format!("{product} {serial} on USB"), command, "checks it")
 }
 
 /// The daemon that the configuration describes, and its store.
@@ -137,7 +138,7 @@ fn of_daemon(global: &Global) -> Vec<NextStep> {
         steps.push(NextStep::new(
             format!("store {}", config.store.display()),
             "ihd store ls",
-            "results, windows and lookups",
+            "its results",
         ));
     }
     steps
@@ -175,7 +176,24 @@ fn captures(folder: &Path) -> Option<NextStep> {
 
 #[cfg(test)]
 mod tests {
+    use clap::Parser;
+
     use super::*;
+    use crate::cli::Cli;
+
+    #[test]
+    fn every_command_is_one() {
+        let board = usb::UsbBoard {
+            serial: "2062".into(),
+            product: "ihd hob".into(),
+        };
+        let mut steps = without_anything();
+        steps.push(of_board(&board));
+        for step in steps {
+            let parsed = Cli::try_parse_from(step.command.split(' '));
+            assert!(parsed.is_ok(), "{}: {:?}", step.command, parsed.err());
+        }
+    }
 
     #[test]
     fn the_newest_capture_is_offered_and_other_files_are_not() {

@@ -41,8 +41,8 @@ pub struct DoesNotHeat {
     pub why: String,
 }
 
-/// Text for heating that was ended elsewhere.
-const ELSEWHERE: &str = "switched off elsewhere, or its link was cut";
+/// End of heating by another client, the hob's panel or a cut link.
+const ELSEWHERE: &str = "elsewhere";
 
 /// Summary of a heating.
 #[derive(Debug, Default, Serialize)]
@@ -153,26 +153,28 @@ fn run(
         _ => switch_off(hob),
     };
     bar.finish_and_clear();
-    if json {
-        output::json(&summary)?;
-    } else {
-        say!(
-            "{}: {} after {:.0} s, of which it heated {:.0} s, {:.1} Wh",
-            summary.device,
-            if off.is_ok() && ended.is_ok() {
-                "off"
-            } else {
-                "ended"
-            },
-            summary.seconds,
-            summary.heating_seconds,
-            summary.energy_wh
-        )?;
-    }
-    match (ended, off) {
+    let is_off = off.is_ok() && ended.is_ok();
+    let outcome = match (ended, off) {
+        // What is on matters more than who reads of it.
+        (Err(ended), Err(off)) if ended.is::<output::OutputClosed>() => Err(off),
         (Err(ended), Err(off)) => Err(ended.context(off.to_string())),
         (ended, off) => ended.and(off).and_then(|()| check_heated(&summary)),
+    };
+    outcome.and(show(&summary, is_off, json))
+}
+
+fn show(summary: &HeatingSummary, is_off: bool, json: bool) -> Result<()> {
+    if json {
+        return output::json(summary);
     }
+    say!(
+        "{}: {} after {:.0} s, of which it heated {:.0} s, {:.1} Wh",
+        summary.device,
+        if is_off { "off" } else { "ended" },
+        summary.seconds,
+        summary.heating_seconds,
+        summary.energy_wh
+    )
 }
 
 /// Sends a command; returns the power that the hob took, and says so where it is less than was asked for.
@@ -321,7 +323,7 @@ fn check_heated(summary: &HeatingSummary) -> Result<()> {
         one_line(&format!("{} ({live})", report.detail))
     });
     let why = if early {
-        format!("{ELSEWHERE}: {why}")
+        format!("switched off elsewhere, or its link was cut: {why}")
     } else {
         why
     };

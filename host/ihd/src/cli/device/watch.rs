@@ -1,7 +1,7 @@
 //! `ihd watch DEV --lines`: events as they occur.
 
 use std::sync::atomic::Ordering;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use ihd_api::client::ClientError;
@@ -42,7 +42,10 @@ pub(super) fn watch(hob: &mut Hob, json: bool) -> Result<()> {
                     StreamItem::Event(notice) => show(&notice, &mut shown_ms)?,
                 }
             }
-            say!("the daemon has ended")
+            match json {
+                true => output::json_line(&serde_json::json!({"event": "ended"})),
+                false => say!("the daemon has ended"),
+            }
         }
     }
 }
@@ -135,26 +138,35 @@ pub(in crate::cli) fn event_text(what: &EventKind) -> Option<String> {
 fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
     let stop = interrupt::flag().context("cannot catch ^C")?;
     direct.stream(true)?;
+    let mut shown_ms = i64::MIN;
     while !stop.load(Ordering::Relaxed) {
         let event = direct.client().next_event(Duration::from_millis(200))?;
         let Some(event) = event else { continue };
-        let due = match &event {
-            DeviceEvent::Telemetry(t) => t.half_cycle % HALF_CYCLES_PER_LINE == 0,
-            DeviceEvent::Fault(_) => true,
-            DeviceEvent::Window(_)
-            | DeviceEvent::WindowRejected { .. }
-            | DeviceEvent::Log { .. } => false,
+        let due = matches!(&event, DeviceEvent::Telemetry(t) if t.half_cycle % HALF_CYCLES_PER_LINE == 0);
+        let kind = match event {
+            DeviceEvent::Fault(event) => Some(EventKind::Fault {
+                fault: event.fault.number(),
+                text: event.fault.text().to_owned(),
+            }),
+            _ if due => (direct.report()?.live).map(|live| EventKind::Telemetry { live }),
+            _ => None,
         };
-        if due && let DeviceEvent::Fault(fault) = &event {
-            say!("{}", one_line(&format!("fault: {fault:?}")))?;
-        } else if due {
-            let report = direct.report()?;
-            match (&report.live, json) {
-                (Some(live), true) => output::json_line(live)?,
-                (Some(live), false) => say!("{}", one_line(&of_live(live)))?,
-                (None, _) => {}
-            }
+        let Some(kind) = kind else { continue };
+        let event = DaemonEvent {
+            at_ms: unix_ms(),
+            device: direct.name().to_owned(),
+            kind,
+        };
+        match json {
+            true => output::json_line(&event)?,
+            false => show(&event, &mut shown_ms)?,
         }
     }
     direct.stream(false)
+}
+
+/// Time of this machine in milliseconds since 1970, UTC.
+fn unix_ms() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.map_or(0, |since| since.as_millis() as i64)
 }

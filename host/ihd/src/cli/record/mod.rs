@@ -12,7 +12,6 @@ use anyhow::Result;
 use clap::Args;
 use ihd_capture::recording::{RecordSettings, Trigger};
 use ihd_link::{Client, DeviceSpec, Transport};
-use ihd_shared::hob::REQUESTED_POWER_MAX_W;
 use ihd_sim::hob::SimHob;
 use ihd_sim::transport::SharedHob;
 
@@ -21,7 +20,7 @@ use self::direct::DirectRecording;
 use super::device::Hob;
 use super::global::Global;
 use super::recording_file;
-use super::simulate::quantity::{quantity, time_s};
+use super::simulate::quantity::{power_w, quantity, time_s};
 use super::simulated::SimulatedHobArgs;
 use super::usage::Usage;
 
@@ -63,7 +62,7 @@ pub struct RecordArgs {
     #[arg(long, value_name = "S", default_value = "0", value_parser = time_s)]
     pre_trigger: f64,
     /// Request this power in watt meanwhile; without it the device's power is not changed
-    #[arg(long, value_name = "W")]
+    #[arg(long, value_name = "W", value_parser = power_w)]
     power: Option<u16>,
     /// A telemetry every so many half-cycles; 0 for none [default: 1]
     #[arg(long, value_name = "N")]
@@ -99,10 +98,6 @@ impl RecordArgs {
         ensure_usage!(positive(self.duration), "--duration must be more than 0 s");
         ensure_usage!(positive(self.max_size), "--max-size must be more than 0");
         self.settings().check().map_err(Usage)?;
-        ensure_usage!(
-            self.power.is_none_or(|w| w <= REQUESTED_POWER_MAX_W),
-            "--power must be at most {REQUESTED_POWER_MAX_W} W"
-        );
         Ok(())
     }
 

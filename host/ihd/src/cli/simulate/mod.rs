@@ -18,6 +18,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use self::spec::SpecOptions;
 use crate::cli::global::Global;
 use crate::cli::keys;
+use crate::cli::output;
 use crate::cli::recording_file;
 use crate::cli::usage::Usage;
 use crate::report::recording;
@@ -89,7 +90,7 @@ pub struct SimulateArgs {
     #[arg(long, requires = "out")]
     clean: bool,
     /// Draw waveforms, R and L to this file (.svg, .pdf or .png)
-    #[arg(long)]
+    #[arg(long, value_parser = output::figure_file)]
     plot: Option<PathBuf>,
     /// List the cost of each approximation of the field model, and do nothing else
     #[arg(long)]

@@ -52,7 +52,7 @@ impl LsArgs {
             return say!("no results in {}", place.folder.display());
         }
         say!(
-            "    id  at                        device              boot     seq  kHz     A      R/ohm   L/uH    verdict"
+            "    id  at                        device              boot     seq  kHz     A      R/ohm   L/µH    verdict"
         )?;
         for row in &rows {
             let line = format!(
@@ -160,7 +160,7 @@ fn show(id: ResultId, place: &StorePlace, json: bool) -> Result<()> {
         row.sigma_r_pct
     )?;
     say!(
-        "L           {:.3} uH ± {:.3} %",
+        "L           {:.3} µH ± {:.3} %",
         row.l_h * 1e6,
         row.sigma_l_pct
     )?;

@@ -125,8 +125,9 @@ impl Dashboard {
 
     /// Time since the last message in milliseconds; `None` if it is short.
     pub(super) fn stale_ms(&self, now_ms: i64) -> Option<i64> {
-        let silent = now_ms - self.heard_ms;
-        (self.gone.is_some() || silent > STALE_MS).then_some(silent.max(0))
+        // A clock that is set back hides no silence.
+        let silent = (now_ms - self.heard_ms).abs();
+        (self.gone.is_some() || silent > STALE_MS).then_some(silent)
     }
 
     /// Applies an update.

@@ -45,7 +45,7 @@ const POLL_PERIOD: Duration = Duration::from_millis(50);
     ihd watch bench --config ihd.toml\n  \
     ihd watch bench --lines --json\n  \
     ssh lab ihd watch\n\n\
-    Exit codes: 0 ended, 1 no such device, 2 not a terminal, 3 no daemon")]
+    Exit codes: 0 ended, 2 no such device or not a terminal, 3 no daemon")]
 pub struct WatchArgs {
     /// The device; without one, all that the daemon has
     #[arg(value_name = "DEV")]

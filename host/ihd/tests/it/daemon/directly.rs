@@ -1,11 +1,12 @@
 //! Commands where no daemon runs.
 
 use std::path::PathBuf;
+use std::process::Stdio;
 use std::sync::MutexGuard;
 
 use ihd_fakes::free_address;
 
-use super::processes::{alone, command, device, heated, ihd};
+use super::processes::{alone, closed_pipe, command, device, heated, ihd};
 use crate::process::{Hob, Process};
 
 struct Bench {
@@ -99,6 +100,16 @@ fn power_ends_off_however_it_ends() {
         assert_eq!(power.code(), code);
         assert_eq!(bench.hob.left_with_w(), left_w, "{signal}");
     }
+    // As with `| head -0`. Its lines are an error once it heats.
+    let mut command = ihd();
+    command
+        .args(["device", "bench", "power", "900", "--config"])
+        .arg(&bench.config)
+        .stdout(closed_pipe())
+        .stderr(Stdio::piped());
+    let ended = command.spawn().unwrap().wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    assert_eq!(bench.hob.left_with_w(), 0, "{ended:?}");
 }
 
 #[test]

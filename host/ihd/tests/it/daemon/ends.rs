@@ -4,8 +4,8 @@ use std::os::unix::net::UnixDatagram;
 
 use ihd_fakes::free_address;
 
-use super::processes::{Kitchen, ihd};
-use crate::process::{PATIENCE, Process};
+use super::processes::{Kitchen, closed_pipe, daemon_command, ihd};
+use crate::process::{PATIENCE, Process, wait_for};
 
 #[test]
 fn a_signal_ends_it_in_order_with_the_hob_off() {
@@ -20,6 +20,23 @@ fn a_signal_ends_it_in_order_with_the_hob_off() {
         assert_eq!(kitchen.hob.left_with_w(), 0, "{signal}");
         kitchen.start_daemon_again();
     }
+}
+
+/// `ihd trainer --daemon 2>&1 | tee log`, where ^C ends `tee` first.
+#[test]
+fn a_daemon_whose_log_has_no_reader_ends_in_order_too() {
+    let mut kitchen = Kitchen::start();
+    kitchen.daemon.signal("TERM");
+    assert_eq!((kitchen.daemon.code(), kitchen.hob.left_with_w()), (0, 0));
+    let mut command = daemon_command(&kitchen.dir.path().join("ihd.toml"));
+    kitchen.daemon = Process::start(command.stderr(closed_pipe()), false);
+    let answers = || (kitchen.device(&["bench", "status"]).0 == 0).then_some(());
+    wait_for(answers, || "it does not listen".into());
+    kitchen.until("the hob is there", |r| r["state"] == "idle");
+    let _power = kitchen.in_the_background(&["bench", "power", "900"]);
+    kitchen.until("it heats", |r| r["asked_by_daemon_w"] == 900);
+    kitchen.daemon.signal("INT");
+    assert_eq!((kitchen.daemon.code(), kitchen.hob.left_with_w()), (0, 0));
 }
 
 /// The hob does not heat for it: `a_host_that_falls_silent_no_longer_heats` (tests/it/link_device.rs).

@@ -1,5 +1,6 @@
 //! A hob, a daemon and commands, each a process; they end with the test.
 
+use std::io::PipeWriter;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -105,13 +106,23 @@ impl Kitchen {
 
 /// A daemon that listens.
 pub fn daemon(config: &Path) -> Process {
+    let mut daemon = Process::start(&mut daemon_command(config), true);
+    daemon.line_with("the daemon listens");
+    daemon
+}
+
+pub fn daemon_command(config: &Path) -> Command {
     let mut command = ihd();
     command
         .args(["trainer", "--daemon", "--config"])
         .arg(config);
-    let mut daemon = Process::start(&mut command, true);
-    daemon.line_with("the daemon listens");
-    daemon
+    command
+}
+
+/// Standard output or error whose reader is gone.
+pub fn closed_pipe() -> PipeWriter {
+    let (_, writer) = std::io::pipe().expect("a pipe");
+    writer
 }
 
 /// `ihd device …`: exit code, standard output, standard error.
