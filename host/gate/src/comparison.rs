@@ -1,7 +1,10 @@
 //! Comparison of two estimates of one segment over the middle 80 % of each mains half-cycle. Outside it the current is
 //! small, and R and L depend on the method.
 
+use std::f64::consts::TAU;
+
 use ihd_identify::Estimate;
+use ihd_identify::pooled::SharedSigma;
 use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_signal::Segment;
 
@@ -126,6 +129,26 @@ pub fn sigmas_pct(segment: &Segment, estimate: &Estimate) -> Vec<(f64, [f64; 2])
             100.0 * shares.map(|(s, x)| (s / x).abs()).sum::<f64>() / times.len() as f64
         };
         Some((crossing_s, [mean(0), mean(1)]))
+    });
+    each.flatten().collect()
+}
+
+/// Standard deviations by the sensors in percent of the mean R and L, one pair per judged half-cycle with its zero crossing in seconds.
+pub fn shared_pct(
+    segment: &Segment,
+    estimate: &Estimate,
+    shared: &SharedSigma,
+) -> Vec<(f64, [f64; 2])> {
+    let omega = TAU * segment.f_sw_hz;
+    let each = judged(segment).into_iter().map(|half| {
+        let crossing_s = half.crossing_s;
+        let times = times_s(segment, crossing_s, &[estimate]);
+        let samples = Samples::from_estimate(estimate, &times)?;
+        let mean = |k: usize| samples.value[k].iter().sum::<f64>() / times.len() as f64;
+        let load = [mean(0), mean(1)];
+        let sigma = shared.of(load, omega);
+        let pct = std::array::from_fn(|k| 100.0 * (sigma[k] / load[k]).abs());
+        Some((crossing_s, pct))
     });
     each.flatten().collect()
 }

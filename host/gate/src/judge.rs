@@ -1,5 +1,6 @@
 //! Judgement of one estimate: findings, and the verdict that follows from them.
 
+use ihd_identify::pooled::SharedSigma;
 use ihd_identify::{Estimate, Method};
 use ihd_signal::{Remark, Segment, Severity};
 
@@ -28,6 +29,8 @@ pub struct Evidence<'a> {
     pub estimate: &'a Estimate,
     /// Reference results for the segment.
     pub reference: &'a ReferenceResults,
+    /// Standard deviations by the sensors and their correction, which the estimate does not contain.
+    pub shared: SharedSigma,
 }
 
 /// Judges one estimate.
@@ -56,7 +59,7 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     // A filter's σ follows from its tuning; if the reference agrees with the filter, the reference's σ is used instead.
     let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
     let harmless = |f: &HalfCycleRemark| f.remark.severity == Severity::Info || within(&f.remark);
-    let confirmed = agreement.iter().all(harmless) && evidence.reference.least_squares.is_ok();
+    let confirmed = agreement.iter().all(harmless) && is_compared(evidence);
     let refuted = agreement
         .iter()
         .any(|f| f.remark.severity == Severity::Error);
@@ -69,7 +72,10 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
         Ok(reference) if !refuted => within_reference(segment, estimate, reference, &known),
         _ => comparison::sigmas_pct(segment, estimate),
     };
-    let uncertain = uncertainty(segment, &sigmas, &known);
+    let uncertain = match estimate.r_sigma_ohm.is_empty() && sigmas.is_empty() {
+        true => Vec::new(),
+        false => uncertainty(segment, &deviations(evidence, &sigmas, &known)),
+    };
     if confirmed {
         // The network stopped at its limit of steps, but with the right result.
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
@@ -174,77 +180,138 @@ fn worse(values: [f64; 2], limits: [f64; 2]) -> (&'static str, f64, f64) {
     }
 }
 
-/// Remarks on the deviations of the half-cycles, of which least squares knows those in `known_pct`; [`TOO_SHORT`] if a stub is all
-/// there is, and its deviation is large or unknown.
-fn uncertainty(
-    segment: &Segment,
-    sigmas_pct: &[(f64, [f64; 2])],
-    known_pct: &[(f64, [f64; 2])],
-) -> Vec<HalfCycleRemark> {
+/// Returns `true` if least squares and the estimate share points enough in every judged half-cycle.
+fn is_compared(evidence: &Evidence<'_>) -> bool {
+    let Evidence {
+        segment, estimate, ..
+    } = *evidence;
+    let reference = evidence.reference.least_squares.as_ref();
+    reference.is_ok_and(|reference| {
+        let compared = comparison::differences(segment, estimate, reference);
+        compared.len() == comparison::judged(segment).len()
+    })
+}
+
+/// Deviations of the half-cycles: `own` by noise, of which least squares knows those in `known`.
+fn deviations(
+    evidence: &Evidence<'_>,
+    own: &[(f64, [f64; 2])],
+    known: &[(f64, [f64; 2])],
+) -> Vec<Deviations> {
+    let shared = comparison::shared_pct(evidence.segment, evidence.estimate, &evidence.shared);
+    let of = |all: &[(f64, [f64; 2])], crossing_s: f64| {
+        let found = all.iter().find(|(at_s, _)| *at_s == crossing_s);
+        found.map(|(_, pct)| *pct)
+    };
+    let deviations = own.iter().map(|&(crossing_s, own_pct)| Deviations {
+        crossing_s,
+        own_pct,
+        known_pct: of(known, crossing_s),
+        shared_pct: of(&shared, crossing_s).unwrap_or_default(),
+    });
+    deviations.collect()
+}
+
+/// Standard deviations of R and L in one half-cycle, in percent of the value.
+struct Deviations {
+    crossing_s: f64,
+    /// Those by noise, that a method states.
+    own_pct: [f64; 2],
+    /// Those that least squares states; `None` if it failed there.
+    known_pct: Option<[f64; 2]>,
+    /// Those by the sensors and their correction.
+    shared_pct: [f64; 2],
+}
+
+/// Remarks on the deviations of the half-cycles; [`TOO_SHORT`] if a stub is all there is, and its deviation is large or unknown.
+fn uncertainty(segment: &Segment, deviations: &[Deviations]) -> Vec<HalfCycleRemark> {
     let judged = comparison::judged(segment);
     let Some(first) = judged.first() else {
         let crossing_s = comparison::half_cycles(segment)
             .first()
             .map(|h| h.crossing_s);
-        return vec![HalfCycleRemark {
-            crossing_s: crossing_s.unwrap_or(segment.t0_s),
-            share: f64::INFINITY,
-            remark: Remark::new(
-                TOO_SHORT,
-                Severity::Warning,
-                "the stretch holds no middle of a mains half-cycle: capture at least 10 ms",
-            ),
-        }];
+        let text = "the stretch holds no middle of a mains half-cycle: capture at least 10 ms";
+        return vec![too_short(crossing_s.unwrap_or(segment.t0_s), text)];
     };
-    let is_stub = !first.is_whole();
-    let remark = |&(crossing_s, pct): &(f64, [f64; 2])| {
-        let (name, value, tolerable) = worse(pct, TOLERABLE_PCT);
-        let share = value / tolerable;
-        let most = pct[0].max(pct[1]);
-        if is_stub && most > MAX_SIGMA_PCT {
-            let text = format!(
-                "R and L are uncertain by {:.1} and {:.1} %, because only {:.0} % of the half-cycle's middle was \
-                 captured: capture at least 10 ms",
-                pct[0],
-                pct[1],
-                100.0 * first.seen
-            );
-            let remark = Remark::new(TOO_SHORT, Severity::Warning, text);
-            let remark = remark.with(most, Some(MAX_SIGMA_PCT));
-            return Some(HalfCycleRemark {
-                crossing_s,
-                share,
-                remark,
-            });
-        }
-        let (severity, limit) = match most > MAX_SIGMA_PCT {
-            true => (Severity::Error, MAX_SIGMA_PCT),
-            false => (Severity::Warning, WARNING_SHARE * tolerable),
+    let of = |half: &comparison::HalfCycleSpan| {
+        let known = deviations.iter().find(|d| d.crossing_s == half.crossing_s);
+        let Some(known) = known else {
+            let text =
+                "too few points were identified for a standard deviation: capture at least 10 ms";
+            return Some(too_short(half.crossing_s, text));
         };
-        let known = known_pct.iter().find(|(at_s, _)| *at_s == crossing_s);
-        let known = known.map(|(_, pct)| worse(*pct, TOLERABLE_PCT));
+        let most = known.own_pct[0].max(known.own_pct[1]);
+        match !first.is_whole() && most > MAX_SIGMA_PCT {
+            true => Some(known.of_a_stub(first.seen)),
+            false => known.of_a_half_cycle(),
+        }
+    };
+    judged.iter().filter_map(of).collect()
+}
+
+fn too_short(crossing_s: f64, text: &str) -> HalfCycleRemark {
+    HalfCycleRemark {
+        crossing_s,
+        share: f64::INFINITY,
+        remark: Remark::new(TOO_SHORT, Severity::Warning, text),
+    }
+}
+
+impl Deviations {
+    fn of_a_stub(&self, seen: f64) -> HalfCycleRemark {
+        let [r, l] = self.own_pct;
+        let text = format!(
+            "R and L are uncertain by {r:.1} and {l:.1} %, because only {:.0} % of the half-cycle's middle was captured: capture \
+             at least 10 ms",
+            100.0 * seen
+        );
+        let remark = Remark::new(TOO_SHORT, Severity::Warning, text);
+        let (_, value, tolerable) = worse(self.own_pct, TOLERABLE_PCT);
+        HalfCycleRemark {
+            crossing_s: self.crossing_s,
+            share: value / tolerable,
+            remark: remark.with(r.max(l), Some(MAX_SIGMA_PCT)),
+        }
+    }
+
+    fn of_a_half_cycle(&self) -> Option<HalfCycleRemark> {
+        let all: [f64; 2] = std::array::from_fn(|k| self.own_pct[k].hypot(self.shared_pct[k]));
+        let is_error = |pct: [f64; 2]| pct[0].max(pct[1]) > MAX_SIGMA_PCT;
+        let (pct, cause) = match (is_error(self.own_pct), is_error(all)) {
+            (false, true) => (all, "the sensors leave"),
+            _ => (self.own_pct, "noise leaves"),
+        };
+        let (severity, limits) = match is_error(pct) {
+            true => (Severity::Error, [MAX_SIGMA_PCT; 2]),
+            false => (
+                Severity::Warning,
+                TOLERABLE_PCT.map(|pct| WARNING_SHARE * pct),
+            ),
+        };
+        let (name, value, limit) = worse(pct, limits);
+        if value <= limit {
+            return None;
+        }
+        let (_, most, tolerable) = worse(pct, TOLERABLE_PCT);
+        let crossing_s = self.crossing_s;
+        let of =
+            format!("{name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s");
+        let known = self.known_pct.map(|known| worse(known, TOLERABLE_PCT));
         // Noise is not the cause where least squares knows more of the same samples.
         let known = known.filter(|(_, known, limit)| known / limit < WARNING_SHARE);
-        (share > WARNING_SHARE).then(|| {
-            let of = format!(
-                "{name} uncertain by {value:.1} % in the half-cycle from {crossing_s:.4} s"
-            );
-            let text = match known {
-                Some((_, known, _)) => format!(
-                    "this method leaves {of}, least squares by {known:.2} %: use least-squares"
-                ),
-                None => format!(
-                    "noise leaves {of}: take a longer capture, a smaller range or more bits"
-                ),
-            };
-            HalfCycleRemark {
-                crossing_s,
-                share,
-                remark: Remark::new("uncertain", severity, text).with(value, Some(limit)),
+        let text = match known {
+            _ if pct == all => format!("{cause} {of}: calibrate against a reference"),
+            Some((_, known, _)) => {
+                format!("this method leaves {of}, least squares by {known:.2} %: use least-squares")
             }
+            None => format!("{cause} {of}: take a longer capture, a smaller range or more bits"),
+        };
+        Some(HalfCycleRemark {
+            crossing_s,
+            share: most / tolerable,
+            remark: Remark::new("uncertain", severity, text).with(value, Some(limit)),
         })
-    };
-    sigmas_pct.iter().filter_map(remark).collect()
+    }
 }
 
 /// Standard deviations of an estimate that least squares does not refute, in percent, by half-cycle: its difference and the σ of

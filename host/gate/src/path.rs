@@ -132,7 +132,18 @@ fn examine_samples(
         let preprocessing = Preprocessing::with_noise(segment, noise);
         let mut reference = ReferenceResults::compute(segment, &preprocessing, known);
         let shared = prepared.shared_sigma(segment.f_sw_hz);
-        let lawful = preprocessing.as_ref().ok().filter(|_| is_law(&reference));
+        let judged = |estimate: &Estimate, reference: &ReferenceResults| {
+            judge(&Evidence {
+                remarks: &remarks,
+                segment,
+                estimate,
+                reference,
+                shared,
+            })
+        };
+        let is_lawful = (reference.least_squares.as_ref())
+            .is_ok_and(|estimate| is_law(&reference, &judged(estimate, &reference)));
+        let lawful = preprocessing.as_ref().ok().filter(|_| is_lawful);
         let of_segment = lawful.map(|p| reference.take_phasors(segment, p.noise()));
         let of_segment = of_segment.map(|phasors| phasors.with_shared(shared));
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
@@ -146,7 +157,10 @@ fn examine_samples(
             };
             let known = (&preprocessing, &reference);
             let mut result = identify(method, segment, known, request, &mut sink);
-            let judgement = judge_result(&remarks, segment, &reference, method, &result);
+            let judgement = match &result {
+                Ok(estimate) => judged(estimate, &reference),
+                Err(error) => judge_failure(&remarks, method, &error.to_string()),
+            };
             if let Ok(estimate) = &mut result {
                 if request.reconstruct != Reconstruct::Waveforms {
                     (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
@@ -208,13 +222,14 @@ fn identify(
 /// Findings of a load that is no function of the current alone.
 const NO_LAW: [&str; 2] = ["load_moves", "load_step"];
 
-/// Returns `true` if nothing speaks against a law R(I), L(I).
-fn is_law(reference: &ReferenceResults) -> bool {
-    let Ok(least_squares) = &reference.least_squares else {
-        return false;
-    };
-    let mut remarks = reference.remarks.iter().chain(&least_squares.remarks);
-    !remarks.any(|r| NO_LAW.contains(&r.code))
+/// Finding that pooling reduces.
+const NOISE: &str = "uncertain";
+
+/// Returns `true` if nothing speaks against a law R(I), L(I), nor against what least squares has of it but noise.
+fn is_law(reference: &ReferenceResults, least_squares: &Judgement) -> bool {
+    let findings = || reference.remarks.iter().chain(&least_squares.findings);
+    let is_error = |r: &Remark| r.severity == Severity::Error && r.code != NOISE;
+    !findings().any(|r| NO_LAW.contains(&r.code) || is_error(r))
 }
 
 fn pooled_law(segment: &Segment, phasors: &PoolPhasors) -> Option<PooledLaw> {
@@ -223,22 +238,4 @@ fn pooled_law(segment: &Segment, phasors: &PoolPhasors) -> Option<PooledLaw> {
     (whole >= 2)
         .then(|| pooled::pool_phasors(phasors))
         .flatten()
-}
-
-fn judge_result(
-    remarks: &[Remark],
-    segment: &Segment,
-    reference: &ReferenceResults,
-    method: Method,
-    result: &Result<Estimate, IdentifyError>,
-) -> Judgement {
-    match result {
-        Ok(estimate) => judge(&Evidence {
-            remarks,
-            segment,
-            estimate,
-            reference,
-        }),
-        Err(error) => judge_failure(remarks, method, &error.to_string()),
-    }
 }

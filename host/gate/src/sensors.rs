@@ -182,17 +182,31 @@ impl CorrectionUncertainty {
 
     /// Warning on a correction that is uncertain, else `None`.
     pub fn remark(&self, segment: &Segment, load: Option<Load>) -> Option<Remark> {
-        let rate_hz = 1.0 / segment.dt_s;
-        if rate_hz < MIN_RATE_HZ && self.lag_sigma_s > 0.0 {
+        let doubt = load.and_then(|load| self.doubt(segment, load));
+        let coarse = self.coarse(1.0 / segment.dt_s);
+        // The rate explains a doubt, but no refusal is a warning for it.
+        match (doubt, coarse) {
+            (Some(doubt), _) if doubt.severity == Severity::Error => Some(doubt),
+            (doubt, coarse) => coarse.or(doubt),
+        }
+    }
+
+    /// Warning on a correction from few samples between the edges, `None` at a rate that is fast enough.
+    fn coarse(&self, rate_hz: f64) -> Option<Remark> {
+        let is_coarse = rate_hz < MIN_RATE_HZ && self.lag_sigma_s > 0.0;
+        is_coarse.then(|| {
             let text = format!(
                 "the sensors were corrected from samples at {:.2} MS/s only, of which few lie between the edges: sample faster, \
                  or compare with --self-calibrate off",
                 rate_hz * 1e-6
             );
             let remark = Remark::new("correction_doubtful", Severity::Warning, text);
-            return Some(remark.with(rate_hz, Some(MIN_RATE_HZ)));
-        }
-        let load = load?;
+            remark.with(rate_hz, Some(MIN_RATE_HZ))
+        })
+    }
+
+    /// Doubt by the size of the deviations on this load.
+    fn doubt(&self, segment: &Segment, load: Load) -> Option<Remark> {
         if let Some(doubt) = self.two_causes(load, segment.f_sw_hz) {
             return Some(doubt);
         }
@@ -247,8 +261,45 @@ fn severity_of(pct: f64, warning_pct: f64) -> (Severity, f64) {
 #[cfg(test)]
 mod tests {
     use ihd_identify::{Estimate, Method};
+    use ihd_signal::Samples;
 
     use super::*;
+
+    /// ωL/R = 25: an error of δ turns R by 25·ωδ, 11 % for 15 ns.
+    #[test]
+    fn a_low_rate_makes_no_warning_of_an_error() {
+        let remark = |rate_hz: f64, lag_sigma_s: f64| {
+            let uncertainty = CorrectionUncertainty {
+                lag_sigma_s,
+                ..CorrectionUncertainty::default()
+            };
+            let samples = || Samples::singles(vec![1.0; 8]);
+            let segment = Segment {
+                f_sw_hz: 45e3,
+                mains_hz: 50.0,
+                zero_crossing_s: 0.0,
+                t0_s: 0.0,
+                dt_s: 1.0 / rate_hz,
+                v_v: samples(),
+                i_a: samples(),
+            };
+            let load = Load {
+                r_ohm: 1.0,
+                l_h: 25.0 / (TAU * 45e3),
+            };
+            let remark = uncertainty.remark(&segment, Some(load)).expect("a doubt");
+            (remark.severity, remark.value)
+        };
+        for rate_hz in [2.5e6, 50e6] {
+            let (severity, pct) = remark(rate_hz, 15e-9);
+            assert_eq!(severity, Severity::Error, "{rate_hz}");
+            assert!(
+                pct.is_some_and(|pct| (pct / 10.6 - 1.0).abs() < 0.01),
+                "{pct:?}"
+            );
+        }
+        assert_eq!(remark(2.5e6, 1e-9), (Severity::Warning, Some(2.5e6)));
+    }
 
     #[test]
     fn a_delay_that_is_off_turns_the_impedance() {

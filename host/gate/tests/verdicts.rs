@@ -241,22 +241,8 @@ fn a_tone_is_judged_by_what_it_costs() {
 #[test]
 fn deviations_of_a_calibration_are_in_those_of_r_and_l() {
     let (skew_sigma_s, gain_ratio_sigma) = (20e-9, 0.02);
-    let mut calibrated = capture(&clean());
-    let calibration = Calibration {
-        skew_s: 0.0,
-        skew_sigma_s,
-        gain_ratio: 1.0,
-        gain_ratio_sigma,
-        v_offset_v: 0.0,
-        i_offset_a: 0.0,
-        response: Correction::default(),
-        reference: "r=3".to_owned(),
-        assumed: Vec::new(),
-        capture: "another".to_owned(),
-        contradictions: Vec::new(),
-    };
-    calibration.apply(&mut calibrated);
-    let examined = examined(&calibrated, &[Method::LeastSquares]);
+    let examined = examined_with_calibration(skew_sigma_s, gain_ratio_sigma);
+    assert_eq!(codes(&examined.outcomes[0]), [""; 0]);
     let found = examined.outcomes[0].result.as_ref().expect("an estimate");
     let law = examined.pooled[0].as_ref().expect("two half-cycles");
     let (crest, last) = (found.r_ohm.len() / 4, law.r_ohm.len() - 1);
@@ -272,4 +258,40 @@ fn deviations_of_a_calibration_are_in_those_of_r_and_l() {
         let least = (gain_ratio_sigma * r_ohm).hypot(omega * omega * l_h * skew_sigma_s);
         assert!((0.999..1.1).contains(&(sigma / least)), "{sigma} {least}");
     }
+}
+
+#[test]
+fn a_calibration_that_leaves_five_percent_is_refused_as_noise_of_five_percent_is() {
+    let examined = examined_with_calibration(0.0, 0.05);
+    let judgement = &examined.outcomes[0].judgement;
+    assert!(!judgement.gate.passes());
+    let doubt = judgement
+        .doubts()
+        .find(|d| d.code == "uncertain")
+        .expect("5 %");
+    assert!(doubt.text.contains("the sensors leave"), "{}", doubt.text);
+    assert!(
+        doubt.value.is_some_and(|pct| (5.0..5.2).contains(&pct)),
+        "{doubt:?}"
+    );
+    assert!(examined.pooled[0].is_some(), "σ is stated with the law");
+}
+
+fn examined_with_calibration(skew_sigma_s: f64, gain_ratio_sigma: f64) -> Examination {
+    let mut calibrated = capture(&clean());
+    let calibration = Calibration {
+        skew_s: 0.0,
+        skew_sigma_s,
+        gain_ratio: 1.0,
+        gain_ratio_sigma,
+        v_offset_v: 0.0,
+        i_offset_a: 0.0,
+        response: Correction::default(),
+        reference: "r=3".to_owned(),
+        assumed: Vec::new(),
+        capture: "another".to_owned(),
+        contradictions: Vec::new(),
+    };
+    calibration.apply(&mut calibrated);
+    examined(&calibrated, &[Method::LeastSquares])
 }

@@ -2,6 +2,7 @@
 
 use ihd_gate::{Evidence, Judgement, ReferenceResults};
 use ihd_identify::network::append;
+use ihd_identify::pooled::SharedSigma;
 use ihd_identify::{Estimate, Method, Preprocessing};
 use ihd_pinn::Identification;
 use ihd_signal::{Remark, Segment, SegmentError, Severity};
@@ -24,6 +25,8 @@ pub fn judge(
         segment,
         estimate: &estimate,
         reference: &ReferenceResults::compute(segment, preprocessing, None),
+        // The sensors' deviations are in the remarks and in the map.
+        shared: SharedSigma::default(),
     });
     let mut findings = judgement.findings;
     for finding in &mut findings {
