@@ -142,7 +142,8 @@ fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
     while !stop.load(Ordering::Relaxed) {
         let event = direct.client().next_event(Duration::from_millis(200))?;
         let Some(event) = event else { continue };
-        let due = matches!(&event, DeviceEvent::Telemetry(t) if t.half_cycle % HALF_CYCLES_PER_LINE == 0);
+        let due =
+            matches!(&event, DeviceEvent::Telemetry(t) if t.half_cycle % HALF_CYCLES_PER_LINE == 0);
         let kind = match event {
             DeviceEvent::Fault(event) => Some(EventKind::Fault {
                 fault: event.fault.number(),
