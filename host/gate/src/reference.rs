@@ -3,8 +3,7 @@
 
 use ihd_identify::pooled::PoolPhasors;
 use ihd_identify::{
-    Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, run,
-    run_preprocessed,
+    Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, run, run_independently,
 };
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Remark, Segment, SegmentError};
@@ -18,7 +17,7 @@ pub struct ReferenceResults {
     pub least_squares: Result<Estimate, IdentifyError>,
     /// Least squares on the segment without foreign tones; `None` if there are none.
     pub cleaned: Option<Estimate>,
-    /// Lock-in with its default options, without foreign tones, which it follows further than any other method. It shares
+    /// Lock-in with its default options and its own σ, without foreign tones, which it follows further than any other method. It shares
     /// neither splines nor prior with least squares.
     pub lockin: Result<Estimate, IdentifyError>,
     /// Remarks on the segment itself.
@@ -57,15 +56,11 @@ impl ReferenceResults {
         known: Option<Interference>,
     ) -> Self {
         let settings = IdentifyOptions::default();
-        let by = |method: Method, known: Option<&Estimate>| match preprocessing {
-            Ok(preprocessing) => {
-                let (truth, report) = (None, &mut |_| {});
-                let mut sink = ProgressSink { truth, report };
-                run_preprocessed(method, segment, preprocessing, known, &settings, &mut sink)
-            }
+        let by = |method: Method| match preprocessing {
+            Ok(preprocessing) => run_independently(method, segment, Some(preprocessing), &settings),
             Err(e) => Err(e.clone().into()),
         };
-        let least_squares = by(Method::LeastSquares, None);
+        let least_squares = by(Method::LeastSquares);
         let found = match (&least_squares, preprocessing) {
             (Ok(_), Ok(p)) => known.unwrap_or_else(|| interference::find(segment, p.noise())),
             _ => Interference::default(),
@@ -79,7 +74,7 @@ impl ReferenceResults {
         let (tones, phasors) = (found.tones, found.phasors);
         if tones.is_empty() {
             return Self {
-                lockin: by(Method::Lockin, least_squares.as_ref().ok()),
+                lockin: by(Method::Lockin),
                 least_squares,
                 cleaned: None,
                 remarks,
@@ -93,7 +88,7 @@ impl ReferenceResults {
             interference::remark(segment, &tones, with, without, false)
         }));
         Self {
-            lockin: run(Method::Lockin, &clean, &settings),
+            lockin: run_independently(Method::Lockin, &clean, None, &settings),
             least_squares,
             cleaned,
             remarks,

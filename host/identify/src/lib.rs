@@ -264,10 +264,33 @@ pub fn run_preprocessed(
         true => Known {
             least_squares,
             noise: Some(preprocessing.noise),
+            is_independent: false,
         },
         false => Known::default(),
     };
     run_on(method, segment, Some(preprocessing), known, settings, sink)
+}
+
+/// Identifies with the standard deviations that the method states by itself: a difference from least squares raises none, so that
+/// both can be compared. `preprocessing` is the segment's if it is known.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_independently(
+    method: Method,
+    segment: &Segment,
+    preprocessing: Option<&Preprocessing>,
+    settings: &IdentifyOptions,
+) -> Result<Estimate, IdentifyError> {
+    let (truth, report) = (None, &mut |_| {});
+    let mut sink = ProgressSink { truth, report };
+    let whole = preprocessing.filter(|preprocessing| preprocessing.is_whole());
+    let known = Known {
+        least_squares: None,
+        noise: whole.map(Preprocessing::noise),
+        is_independent: true,
+    };
+    run_on(method, segment, preprocessing, known, settings, &mut sink)
 }
 
 /// Facts on a segment that need not be computed again.
@@ -276,6 +299,8 @@ struct Known<'a> {
     /// Its result by least squares with the same settings.
     least_squares: Option<&'a Estimate>,
     noise: Option<WhiteNoise>,
+    /// `true` if no difference from least squares raises the standard deviations.
+    is_independent: bool,
 }
 
 fn run_on(
@@ -305,6 +330,10 @@ fn run_on(
             |segment, settings| at_constant_load(method, segment, known, settings, sink),
         );
     };
+    let of_part = Known {
+        is_independent: known.is_independent,
+        ..Known::default()
+    };
     sweep::identify(
         method,
         segment,
@@ -315,7 +344,7 @@ fn run_on(
             let (truth, report) = (None, &mut *sink.report);
             let mut sink = ProgressSink { truth, report };
             steps::identify(method, warped, None, settings, clock, |warped, settings| {
-                at_constant_load(method, warped, Known::default(), settings, &mut sink)
+                at_constant_load(method, warped, of_part, settings, &mut sink)
             })
         },
     )
@@ -347,7 +376,7 @@ fn at_constant_load(
         Method::Firmware => firmware::identify(segment, settings),
         Method::Pinn => pinn::identify(segment, settings, sink),
     }?;
-    if !matches!(method, Method::LeastSquares | Method::Pinn) {
+    if !known.is_independent && !matches!(method, Method::LeastSquares | Method::Pinn) {
         reference::raise_sigmas(&mut estimate, segment, known.least_squares, settings);
     }
     Ok(estimate)
