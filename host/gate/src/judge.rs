@@ -277,10 +277,8 @@ impl Deviations {
     fn of_a_half_cycle(&self) -> Option<HalfCycleRemark> {
         let all: [f64; 2] = std::array::from_fn(|k| self.own_pct[k].hypot(self.shared_pct[k]));
         let is_error = |pct: [f64; 2]| pct[0].max(pct[1]) > MAX_SIGMA_PCT;
-        let (pct, cause) = match (is_error(self.own_pct), is_error(all)) {
-            (false, true) => (all, "the sensors leave"),
-            _ => (self.own_pct, "noise leaves"),
-        };
+        let by_sensors = is_error(all) && !is_error(self.own_pct);
+        let pct = if by_sensors { all } else { self.own_pct };
         let (severity, limits) = match is_error(pct) {
             true => (Severity::Error, [MAX_SIGMA_PCT; 2]),
             false => (
@@ -300,11 +298,13 @@ impl Deviations {
         // Noise is not the cause where least squares knows more of the same samples.
         let known = known.filter(|(_, known, limit)| known / limit < WARNING_SHARE);
         let text = match known {
-            _ if pct == all => format!("{cause} {of}: calibrate against a reference"),
+            _ if by_sensors => format!("the sensors leave {of}: calibrate against a reference"),
             Some((_, known, _)) => {
                 format!("this method leaves {of}, least squares by {known:.2} %: use least-squares")
             }
-            None => format!("{cause} {of}: take a longer capture, a smaller range or more bits"),
+            None => {
+                format!("noise leaves {of}: take a longer capture, a smaller range or more bits")
+            }
         };
         Some(HalfCycleRemark {
             crossing_s,

@@ -1,9 +1,15 @@
 //! Gate on simulated captures: right results pass without a warning, wrong ones are refused or warned of.
 
-use ihd_gate::{Examination, ExamineOptions, MethodResult, Reconstruct, Verdict, examine};
+use std::f64::consts::TAU;
+
+use ihd_gate::{
+    Evidence, Examination, ExamineOptions, MethodResult, Reconstruct, ReferenceResults, Verdict,
+    examine, judge,
+};
 use ihd_identify::accuracy::Accuracy;
-use ihd_identify::{IdentifyOptions as Methods, Method};
-use ihd_signal::{Capture, Severity};
+use ihd_identify::pooled::SharedSigma;
+use ihd_identify::{IdentifyOptions as Methods, Method, Preprocessing};
+use ihd_signal::{Capture, Segment, Severity};
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, Neighbour, RecordingChange, RecordingEvent};
 use ihd_survey::Hints;
@@ -246,7 +252,7 @@ fn deviations_of_a_calibration_are_in_those_of_r_and_l() {
     let found = examined.outcomes[0].result.as_ref().expect("an estimate");
     let law = examined.pooled[0].as_ref().expect("two half-cycles");
     let (crest, last) = (found.r_ohm.len() / 4, law.r_ohm.len() - 1);
-    let omega = std::f64::consts::TAU * found.f_sw_hz;
+    let omega = TAU * found.f_sw_hz;
     for (r_ohm, l_h, sigma) in [
         (
             found.r_ohm[crest],
@@ -294,4 +300,46 @@ fn examined_with_calibration(skew_sigma_s: f64, gain_ratio_sigma: f64) -> Examin
     };
     calibration.apply(&mut calibrated);
     examined(&calibrated, &[Method::LeastSquares])
+}
+
+/// Two half-cycles through 18 µH and a resistance of 3 Ω that swings by a fifth at `swing_hz`.
+fn swinging(swing_hz: f64) -> Segment {
+    let (dt_s, mains, omega) = (80e-9, TAU * 50.0, TAU * 45e3);
+    let (mut v_v, mut i_a) = (Vec::new(), Vec::new());
+    for k in 0..250_000 {
+        let t = f64::from(k) * dt_s;
+        let envelope = 40.0 * (mains * t).sin().abs();
+        let slope = 40.0 * mains * (mains * t).cos() * (mains * t).sin().signum();
+        let (sin, cos) = (omega * t).sin_cos();
+        let r_ohm = 3.0 + 0.6 * (TAU * swing_hz * t).sin();
+        v_v.push(r_ohm * envelope * cos + 18e-6 * (slope * cos - envelope * omega * sin));
+        i_a.push(envelope * cos);
+    }
+    Segment {
+        f_sw_hz: 45e3,
+        mains_hz: 50.0,
+        zero_crossing_s: 0.0,
+        t0_s: 0.0,
+        dt_s,
+        v_v: v_v.into(),
+        i_a: i_a.into(),
+    }
+}
+
+#[test]
+fn a_load_that_least_squares_does_not_follow_is_unconfirmed() {
+    let codes = |swing_hz: f64| -> Vec<&str> {
+        let segment = swinging(swing_hz);
+        let reference = ReferenceResults::compute(&segment, &Preprocessing::new(&segment), None);
+        let judgement = judge(&Evidence {
+            remarks: &[],
+            segment: &segment,
+            estimate: reference.least_squares.as_ref().expect("a carrier"),
+            reference: &reference,
+            shared: SharedSigma::default(),
+        });
+        judgement.doubts().map(|d| d.code).collect()
+    };
+    assert_eq!(codes(0.0), [""; 0]);
+    assert!(codes(4e3).contains(&"unconfirmed"), "{:?}", codes(4e3));
 }
