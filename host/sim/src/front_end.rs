@@ -5,6 +5,9 @@ use ihd_shared::board;
 /// Supply of the analogue parts, in volt.
 pub const NOMINAL_SUPPLY_V: f64 = board::NOMINAL_SUPPLY_MV as f64 / 1e3;
 
+/// Code of the chip's reference voltage at a supply of 3.0 V, as its maker found it: 1.212 V (DS12288: 1.182 to 1.232 V).
+pub const REFERENCE_CALIBRATION: u16 = 1_655;
+
 /// Mid-scale of the signals that have a sign, in volt.
 pub const MID_SCALE_V: f64 = NOMINAL_SUPPLY_V / 2.0;
 

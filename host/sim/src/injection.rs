@@ -12,7 +12,7 @@ use crate::front_end::NOMINAL_SUPPLY_V;
 use crate::slow_adc::SlowBlock;
 
 /// Supply below which the chip's detector (PVD) opens the bridge, in volt (docs/board.md, "Protection").
-const DETECTOR_V: f64 = 2.9;
+pub const DETECTOR_V: f64 = 2.9;
 
 /// Kind of fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -8,7 +8,7 @@ use ihd_shared::board::{self, Pin};
 use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::SimulatedAdc;
 use ihd_sim::comparator::FilteredComparator;
-use ihd_sim::front_end::BUS_FULL_SCALE_V;
+use ihd_sim::front_end::{BUS_FULL_SCALE_V, REFERENCE_CALIBRATION};
 use ihd_sim::hob::HobConfig;
 use ihd_sim::injection::{InjectionKind, Injections};
 use ihd_sim::plant::Plant;
@@ -16,7 +16,6 @@ use ihd_sim::scenario::surroundings::ChangeableHob;
 use ihd_sim::temperatures::ntc_code;
 
 use crate::chip::hrtim::Bridge;
-use crate::processor::REFERENCE_CALIBRATION;
 use crate::usb::host::HostController;
 
 /// Pins of the panel's buttons: on/off, plus, minus, timer.
@@ -167,9 +166,9 @@ impl Pins {
         (f64::from(REFERENCE_CALIBRATION) * 3.0 / vdda_v * ratio).round() as u32
     }
 
-    /// Returns `true` while the injected supply is below the chip's detector.
-    pub fn is_supply_low(&self) -> bool {
-        self.injections.is_supply_low()
+    /// Supply of the chip with its injected faults, in volt.
+    pub fn supply_v(&self) -> f64 {
+        self.injections.supply_v()
     }
 
     /// Levels of a port, 0 for A. A line of the panel is high if it is pulled up and no button closes it; the wire to a second zone

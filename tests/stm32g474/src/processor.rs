@@ -1,5 +1,6 @@
 //! Processor with its memory map, and Unicorn's callbacks: registers, flash pages, and each block of code.
 
+use ihd_sim::front_end::REFERENCE_CALIBRATION;
 use ihd_sim::plant::Plant;
 use unicorn_engine::{Arch, Mode, Prot, Unicorn, uc_error};
 
@@ -31,9 +32,6 @@ pub const BOOTLOADER_STACK: u32 = 0x2000_2000;
 /// Addresses below the RAM, with the second bank's option bytes alone (RM0440, 2.2.2).
 pub(crate) const BELOW_RAM: u64 = 0x1FFF_8000;
 const BELOW_RAM_BYTES: u64 = RAM - BELOW_RAM;
-
-/// Code of the reference voltage at a supply of 3.0 V: 1.212 V (DS12288: 1.182 to 1.232 V).
-pub const REFERENCE_CALIBRATION: u16 = 1_655;
 
 /// Applies erased pages, refused stores and the DMA's writes to memory.
 pub(crate) fn move_transfers(cpu: &mut Unicorn<'_, State>) -> Result<(), uc_error> {

@@ -7,10 +7,8 @@ use ihd_firmware::sense::supply::{Reference, SupplyScale};
 use ihd_shared::sampling::AMPERE_PER_CODE;
 use ihd_shared::wire::messages::Program;
 
+use crate::front_end::REFERENCE_CALIBRATION;
 use crate::injection::{InjectionKind, Injections};
-
-/// Code of the chip's reference voltage at 3.0 V, as its maker found it.
-const REFERENCE_CALIBRATION: u16 = 1_655;
 
 /// Coil current at which the comparator opens the bridge, in ampere: its threshold is a share of the supply.
 pub(super) fn comparator_a(scale: SupplyScale, injections: &Injections) -> f64 {

@@ -18,7 +18,7 @@ const F_ADC_MAX_HZ: u64 = 60_000_000;
 /// ADC clock cycles between the calibration's end and ADEN (RM0440, 21.4.8).
 const AFTER_CALIBRATION_CYCLES: u64 = 4;
 
-/// Latency of a trigger in cycles of the ADC's clock at CKMODE = HCLK/4 (DS12288: t_LATR, 2.5 at most with margin).
+/// Latency of a trigger in cycles of the ADC's clock at CKMODE = HCLK/4 (DS12288: t_LATR).
 const TRIGGER_LATENCY_CYCLES: f64 = 2.125;
 
 /// Conversion time at 12 bit without sampling, in cycles (RM0440, 21.4.15).
@@ -295,6 +295,12 @@ impl Converter {
         file: &RegisterFile,
         log: &mut Log,
     ) -> Option<(u32, Ticks)> {
+        if self.enabled_at.is_none_or(|at| log.now < at + us(1)) {
+            log.broken(format!(
+                "{}: a trigger came before ADRDY (RM0440 21.4.9)",
+                self.name
+            ));
+        }
         if log.now < self.busy_until {
             log.broken(format!(
                 "{}: a trigger came before the last conversion had ended (RM0440 21.4.19)",

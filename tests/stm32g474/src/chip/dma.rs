@@ -35,10 +35,12 @@ fn channel_register(first: u32, channel: u32) -> u32 {
 }
 
 impl Dma {
-    /// Handles a request of a peripheral; `request` is its DMAMUX input. Returns the write to memory, `None` if no channel serves it.
+    /// Handles a request of a peripheral for a `value` at the address `from`; `request` is its DMAMUX input. Returns the write to
+    /// memory, `None` if no channel serves it.
     pub fn request(
         &mut self,
         request: u32,
+        from: u32,
         value: u32,
         file: &mut RegisterFile,
         log: &mut Log,
@@ -52,6 +54,12 @@ impl Dma {
         let left_at = channel_register(dma1::cndtr1::ADDRESS, channel);
         let left = file.word(left_at);
         if left == 0 {
+            return None;
+        }
+        if file.word(channel_register(dma1::cpar1::ADDRESS, channel)) != from {
+            log.broken(format!(
+                "DMA: CPAR is not {from:#010x}, whose request it serves (RM0440 12.6.5)"
+            ));
             return None;
         }
         let bytes = 1 << dma1::ccr1::MSIZE.extract(ccr);

@@ -4,13 +4,14 @@
 //! use prescaler 2 in this image, so one count is one tick; other prescalers are a violation.
 
 mod faults;
+mod outputs;
 
 use crate::registers::{hrtim_common, hrtim_master, hrtim_tima, hrtim_timb};
 use crate::time::{Ticks, us};
 use crate::violation::Log;
 
-pub use self::faults::ActiveFaults;
-use self::faults::{INPUTS, sources_written};
+use self::faults::sources_written;
+pub use self::faults::{ActiveFaults, takes_comparator, takes_event_2};
 use super::register_file::RegisterFile;
 
 /// Duration of the DLL's calibration (RM0440, 27.3.4: 14 µs at 170 MHz).
@@ -277,7 +278,7 @@ impl Hrtim {
                 0
             }
             hrtim_master::mcr::ADDRESS => {
-                self.start_counters(value, log);
+                self.start_counters(value, file, log);
                 value
             }
             hrtim_tima::perar::ADDRESS
@@ -302,44 +303,11 @@ impl Hrtim {
                 before
             }
             hrtim_tima::timacr::ADDRESS | hrtim_timb::timbcr::ADDRESS => {
-                if value & 7 != 2 {
-                    log.broken("HRTIM: this emulator counts at prescaler 2 only");
-                }
+                check_mode(value, log);
                 value
             }
             _ => value,
         }
-    }
-
-    fn dead_time_written(
-        &mut self,
-        before: u32,
-        value: u32,
-        file: &RegisterFile,
-        log: &mut Log,
-    ) -> u32 {
-        use hrtim_tima::dtar::{DTFLKX, DTFSLKX, DTFX, DTPRSC, DTRLKX, DTRSLKX, DTRX};
-        if self.dead_time_locked {
-            let locked = DTRX.mask() | DTFX.mask() | DTPRSC.mask() | DTRLKX.mask() | DTFLKX.mask();
-            if (value ^ before) & locked != 0 {
-                log.broken("HRTIM DTAR written after DTRLK and DTFLK (RM0440 27.5.20)");
-            }
-            return before;
-        }
-        let locks = DTRLKX.mask() | DTFLKX.mask() | DTRSLKX.mask() | DTFSLKX.mask();
-        if value & locks != 0 {
-            self.dead_time_locked = true;
-            if value & (DTRX.mask() | DTFX.mask()) == 0 {
-                log.broken("HRTIM: a dead time of 0 locked (RM0440 27.5.20)");
-            }
-        }
-        if file.is(hrtim_tima::outar::DTEN)
-            && self.a.running
-            && (value ^ before) & DTPRSC.mask() != 0
-        {
-            log.broken("HRTIM DTPRSC changed while the timer runs (RM0440 27.5.20)");
-        }
-        value
     }
 
     /// Applies a stored write: without preload the register is active at once.
@@ -382,50 +350,34 @@ impl Hrtim {
         }
     }
 
-    fn start_counters(&mut self, value: u32, log: &mut Log) {
+    fn start_counters(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
         use hrtim_master::mcr::{TACEN, TBCEN};
         let ready = self.dll_ready_at.is_some_and(|at| log.now >= at);
-        for (timer, enable) in [(0, TACEN), (1, TBCEN)] {
+        for (timer, enable, mode) in [
+            (0, TACEN, hrtim_tima::timacr::ADDRESS),
+            (1, TBCEN, hrtim_timb::timbcr::ADDRESS),
+        ] {
             let counter = self.counter(timer);
             let on = enable.extract(value) == 1;
             if on && !counter.running {
                 if !ready {
                     log.broken("HRTIM counter enabled before the DLL is ready (RM0440 27.3.22)");
                 }
+                check_mode(file.word(mode), log);
                 counter.started = log.now;
             }
             counter.running = on;
         }
     }
+}
 
-    fn enable(&mut self, value: u32, file: &RegisterFile, log: &mut Log) {
-        if value & !(OUTPUT_1 | OUTPUT_2) != 0 {
-            log.broken("HRTIM: an output enabled that is not wired");
-        }
-        // Conditions for enabling an output (RM0440, 27.3.22).
-        let armed = file.word(hrtim_tima::fltar::ADDRESS);
-        for input in [0, 1, 3] {
-            let [enable, ..] = INPUTS[input];
-            if armed & 1 << input == 0 || !file.is(enable) {
-                log.broken(format!(
-                    "outputs enabled before fault input {} is armed (RM0440 27.3.17)",
-                    input + 1
-                ));
-            }
-        }
-        if !file.is(hrtim_tima::outar::DTEN) || file.get(hrtim_tima::dtar::DTRX) == 0 {
-            log.broken("outputs enabled without dead time (RM0440 27.3.8)");
-        }
-        if file.get(hrtim_tima::outar::FAULT1) != 2 || file.get(hrtim_tima::outar::FAULT2) != 2 {
-            log.broken("outputs enabled whose fault state is not inactive (RM0440 27.5.28)");
-        }
-        let active = self.active_faults;
-        if active.inputs & armed != 0 || active.system {
-            // FAULT state, whether its flag is set or cleared (RM0440, "HRTIM output states and transitions").
-            return;
-        }
-        for (output, bit) in [(0, OUTPUT_1), (1, OUTPUT_2)] {
-            self.enabled[output] |= value & bit != 0;
-        }
+/// Checks TIMxCR, whose fields lie at the same bits for both timers: prescaler and counting mode.
+fn check_mode(control: u32, log: &mut Log) {
+    use hrtim_tima::timacr::{CK_PSCX, CONT};
+    if CK_PSCX.extract(control) != 2 {
+        log.broken("HRTIM: this emulator counts at prescaler 2 only");
+    }
+    if CONT.extract(control) == 0 {
+        log.broken("HRTIM: a timer without CONT stops after one period (RM0440 27.3.4)");
     }
 }

@@ -4,6 +4,7 @@ mod access;
 pub mod adc;
 pub mod checksum;
 pub mod clocks;
+mod conversions;
 pub mod cycle_counter;
 pub mod dma;
 mod fault_levels;
@@ -16,9 +17,11 @@ pub mod serial;
 pub mod timer_2;
 pub mod watchdog;
 
+use ihd_sim::front_end::NOMINAL_SUPPLY_V;
+
 use crate::cpu::mpu::Mpu;
 use crate::cpu::nvic::Nvic;
-use crate::pins::{Comparator, Pins};
+use crate::pins::Pins;
 use crate::registers::{self as reg, Field};
 use crate::time::{Ticks, us};
 use crate::usb::peripheral::Usb;
@@ -38,10 +41,6 @@ use self::serial::Serial;
 use self::timer_2::Timer2;
 use self::watchdog::Watchdog;
 
-/// DMAMUX requests of ADC1 and ADC3 (RM0440, table 91).
-const REQUEST_ADC1: u32 = 5;
-const REQUEST_ADC3: u32 = 37;
-
 /// Interrupt numbers of USB_LP and FLASH (RM0440, 14.3, vector table).
 const USB_LP: usize = 20;
 const FLASH: usize = 4;
@@ -49,8 +48,9 @@ const FLASH: usize = 4;
 /// Polling period of the other end of the USB cable: a full-speed packet of 64 bytes takes 50 µs.
 const USB_POLL: Ticks = us(25);
 
-/// Pairs of comparator and fault input of HRTIM, both from 0 (RM0440, table 221): COMP2 on input 1, COMP1 on input 4.
-const COMPARATOR_INPUTS: [(usize, usize); 2] = [(0, 3), (1, 0)];
+/// FLASH_OPTR as ST delivers it, 0xFFEF_F8AA, but with RAM parity on: SRAM_PE = 0 (RM0440, 3.4.1), without which nothing heats. Its
+/// BOR_LEV stays 0, which `ihd flash` reports, and raises to 4 on request.
+const OPTIONS_OF_A_NEW_CHIP: u32 = 0xFEEF_F8AA;
 
 /// Registers of DBGMCU, which only power-on resets (RM0440, 47.16).
 const KEPT_BY_DEBUG: [u32; 4] = {
@@ -112,8 +112,7 @@ pub struct Chip {
     pub pins: Pins,
     /// Low-speed oscillator.
     pub lsi: Lsi,
-    /// Supply below the detector's level.
-    supply_is_low: bool,
+    supply_v: f64,
     /// Fault injection: conversions of ADC3 whose DMA request is not served in time.
     pub late_transfers: u32,
     /// Fault injection: every second trigger of the ADCs is lost.
@@ -162,7 +161,7 @@ impl Chip {
             random: Random::new(1),
             pins,
             lsi: Lsi::default(),
-            supply_is_low: false,
+            supply_v: NOMINAL_SUPPLY_V,
             late_transfers: 0,
             loses_triggers: false,
             trigger_is_lost: false,
@@ -208,10 +207,13 @@ impl Chip {
         let (cause, options) = match why {
             Reset::Software => (reg::rcc::rcc_csr::SFTRSTF, options),
             Reset::Watchdog => (reg::rcc::rcc_csr::IWDGRSTF, options),
-            // ST's delivered value, 0xFFEF_F8AA, with RAM parity on: SRAM_PE = 0 (RM0440, 3.4.1).
             Reset::Power => (
                 reg::rcc::rcc_csr::BORRSTF,
-                if options == 0 { 0xFEEF_F8AA } else { options },
+                if options == 0 {
+                    OPTIONS_OF_A_NEW_CHIP
+                } else {
+                    options
+                },
             ),
         };
         let kept = if why == Reset::Power { 0 } else { flags };
@@ -355,23 +357,6 @@ impl Chip {
         }
     }
 
-    /// Ends a conversion of ADC1 or ADC3 whose result the DMA moves.
-    fn move_result(&mut self, request: u32, value: u32) {
-        let adc = &self.adcs[if request == REQUEST_ADC1 { 0 } else { 2 }];
-        if !adc.requests_transfer(value, &mut self.file) {
-            return;
-        }
-        if request == REQUEST_ADC3 && self.late_transfers > 0 {
-            self.late_transfers -= 1;
-            return;
-        }
-        let (file, log) = (&mut self.file, &mut self.log);
-        if let Some(moved) = self.dma.request(request, value, file, log) {
-            adc.was_read(file);
-            self.transfers.push(moved);
-        }
-    }
-
     fn update_lines(&mut self) {
         for channel in 0..2 {
             let high = self.dma.line(channel, &self.file);
@@ -382,152 +367,6 @@ impl Chip {
             .set_line(serial::INTERRUPT, self.serial.line(&self.file));
         self.nvic.set_line(USB_LP, self.usb.interrupt());
         self.nvic.set_line(FLASH, FlashController::line(&self.file));
-    }
-
-    /// Handles HRTIM's first trigger: advances the power stage to this time and starts the conversions.
-    fn trigger(&mut self) {
-        let hclk_hz = clocks::hclk_hz(&self.file);
-        self.drive_pins();
-        self.set_comparators();
-        let hold_delay_s = self.hold_delay_s();
-        self.pins.plant.set_hold_delay(hold_delay_s);
-        let (sample, tripped) = self.pins.sample();
-        self.trip(tripped);
-        if self.loses_triggers {
-            self.trigger_is_lost = !self.trigger_is_lost;
-        }
-        if self.loses_triggers && self.trigger_is_lost {
-            self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
-            return;
-        }
-        let [adc1, adc2, adc3, _] = &mut self.adcs;
-        if adc1.takes_trigger(&self.file)
-            && reg::adc12_common::ccr::DUAL.extract(self.file.word(reg::adc12_common::ccr::ADDRESS))
-                == 6
-        {
-            let voltage = adc1.trigger(hclk_hz, &self.file, &mut self.log);
-            let current = adc2.trigger(hclk_hz, &self.file, &mut self.log);
-            if let (Some((v_channel, at)), Some((i_channel, _))) = (voltage, current) {
-                let low = adc1.data(v_channel, sample.code(1, v_channel), &self.file);
-                let high = adc2.data(i_channel, sample.code(2, i_channel), &self.file);
-                self.conversions.push(Conversion {
-                    at,
-                    request: Some(REQUEST_ADC1),
-                    value: high << 16 | low,
-                });
-            }
-        }
-        if adc3.takes_trigger(&self.file)
-            && let Some((channel, at)) = adc3.trigger(hclk_hz, &self.file, &mut self.log)
-        {
-            let value = adc3.data(channel, sample.code(3, channel), &self.file);
-            if self.file.is(reg::adc3::cfgr::DMAEN) {
-                self.conversions.push(Conversion {
-                    at,
-                    request: Some(REQUEST_ADC3),
-                    value,
-                });
-            }
-        }
-        self.next_trigger = self.hrtim.next_trigger(&self.file, self.log.now);
-    }
-
-    /// Time from the begin of a sampling period, which the bridge's is locked to, to the hold of both channels, in seconds. The
-    /// trigger waits for an edge of the ADCs' clock besides, up to 24 ns, which is not modelled.
-    pub fn hold_delay_s(&self) -> f64 {
-        let hclk_hz = clocks::hclk_hz(&self.file);
-        let in_adc = self.adcs[0].hold_delay(hclk_hz, &self.file);
-        crate::time::seconds(self.hrtim.trigger_delay() + in_adc)
-    }
-
-    /// Number of conversions of each channel of an ADC since the last reset; ADCs are numbered from 0.
-    pub fn conversions(&self, adc: usize) -> [u32; 19] {
-        self.adcs[adc].taken
-    }
-
-    /// Starts ADC4 by software, or the next conversion of its sequence: the level at its pin is sampled at once.
-    fn start_adc4(&mut self) {
-        let hclk_hz = clocks::hclk_hz(&self.file);
-        let adc = &mut self.adcs[ADC4];
-        if let Some((channel, at)) = adc.trigger(hclk_hz, &self.file, &mut self.log) {
-            let code = match channel {
-                // VREFINT, if it is connected (RM0440, ADCx_CCR).
-                18 if self.file.is(reg::adc345_common::ccr::VREFEN) => self.pins.reference_code(),
-                _ => self.pins.thermistor_code(channel),
-            };
-            let value = adc.data(channel, code, &self.file);
-            self.conversions.push(Conversion {
-                at,
-                request: None,
-                value,
-            });
-        }
-    }
-
-    /// Sets threshold and filter of the comparators at the pins.
-    fn set_comparators(&mut self) {
-        use reg::comp::comp_c1csr::{EN, INMSEL};
-        use reg::dac1::{dac_cr, dac_dhr12r1, dac_dhr12r2};
-        let on = [self.file.is(dac_cr::EN1), self.file.is(dac_cr::EN2)];
-        let thresholds = [
-            self.file.get(dac_dhr12r1::DACC1DHR),
-            self.file.get(dac_dhr12r2::DACC2DHR),
-        ];
-        for (comparator, input) in COMPARATOR_INPUTS {
-            let csr = self.file.word(reg::comp::BASE + 4 * comparator as u32);
-            // INMSEL 5 is DAC1_CH1 on COMP1 and DAC1_CH2 on COMP2 (RM0440, table 196).
-            let compares = EN.extract(csr) == 1 && INMSEL.extract(csr) == 5 && on[comparator];
-            self.pins.comparators[comparator] = compares.then(|| Comparator {
-                threshold_code: f64::from(thresholds[comparator]),
-                filter_s: self.hrtim.fault_filter_s(input, &self.file),
-            });
-        }
-    }
-
-    /// Applies comparator trips to HRTIM's fault inputs, each at its time.
-    fn trip(&mut self, tripped: [Option<f64>; 2]) {
-        for (comparator, input) in COMPARATOR_INPUTS {
-            if let Some(after_s) = tripped[comparator] {
-                let at = self.log.now + (after_s * crate::time::TICKS_PER_S as f64) as Ticks;
-                self.hrtim.fault_input(input, &mut self.file, at);
-            }
-        }
-        self.drive_pins();
-    }
-
-    /// Time from which HRTIM's external event 2 is active: TIM2's trigger output, active high.
-    fn event_2_from(&self) -> Option<Ticks> {
-        use reg::hrtim_common::eecr1::{EE2POL, EE2SRC};
-        const TIM2_TRGO: u32 = 2;
-        let wired = self.file.get(EE2SRC) == TIM2_TRGO && !self.file.is(EE2POL);
-        let from = self.timer_2.high_from(self.ticks_per_cycle, &self.file);
-        from.filter(|_| wired)
-    }
-
-    /// Next time at which external event 2 becomes active with an effect.
-    fn next_event_2(&self) -> Option<Ticks> {
-        let from = self.event_2_from();
-        from.filter(|_| !self.hrtim.is_event_2_taken(&self.file))
-    }
-
-    /// Applies external event 2: a level on fault input 2, if that input uses it (RM0440, table 221).
-    fn check_event_2(&mut self) {
-        let now = self.log.now;
-        if self.event_2_from().is_some_and(|at| now >= at)
-            && !self.hrtim.is_event_2_taken(&self.file)
-        {
-            self.hrtim.fault_input(1, &mut self.file, now);
-            self.drive_pins();
-        }
-    }
-
-    /// Applies a system fault if its bit in SYSCFG_CFGR2 connects it to HRTIM.
-    pub fn system_fault(&mut self, connected_by: Field) {
-        if self.file.is(connected_by) {
-            let now = self.log.now;
-            self.hrtim.system_fault(&mut self.file, now);
-            self.drive_pins();
-        }
     }
 
     /// Handles a halt of the core by a debugger, or its end: DBGMCU_APB2FZR decides whether HRTIM stops. ST's SVD calls the bit

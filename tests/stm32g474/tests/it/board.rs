@@ -5,6 +5,7 @@ use std::sync::LazyLock;
 use std::time::Duration;
 
 use ihd_link::{Client, Transport};
+use ihd_shared::board::MAINS_FREQUENCY_HZ;
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::injection::{Injection, InjectionKind};
 use ihd_sim::mains::SimulatedMains;
@@ -60,7 +61,11 @@ pub fn take_mains_off(bench: &Bench) {
 
 /// Sets the voltage of the mains in volt rms.
 pub fn set_mains(bench: &Bench, v_rms_v: f64) {
-    bench.with(move |machine| machine.chip().pins.plant.change_mains(v_rms_v, 50.0));
+    let frequency_hz = f64::from(MAINS_FREQUENCY_HZ);
+    bench.with(move |machine| {
+        let plant = &mut machine.chip().pins.plant;
+        plant.change_mains(v_rms_v, frequency_hz);
+    });
 }
 
 /// Injects a fault with its value, of the kind's usual channel; returns the number that ends it.

@@ -4,6 +4,8 @@ use ihd_shared::board::TRIP_CURRENT_MA;
 use ihd_shared::fault::Fault;
 use ihd_shared::wire::messages::State;
 use ihd_sim::behavioural::PotKind;
+use ihd_sim::front_end::NOMINAL_SUPPLY_V;
+use ihd_sim::injection::DETECTOR_V;
 use ihd_stm32g474::chip::hrtim::Bridge;
 use ihd_stm32g474::chip::{Chip, Reset};
 use ihd_stm32g474::cpu::CycleModel;
@@ -13,6 +15,9 @@ use ihd_stm32g474::registers::{Field, dma1, flash, hrtim_common, syscfg};
 use ihd_stm32g474::time::{seconds, us};
 
 use crate::board::{Bench, SAMPLING, assert_no_violations, connect, resets, with_pot};
+
+/// Supply in volt that the detector takes for low.
+const SAGGED_V: f64 = DETECTOR_V - 0.05;
 
 /// Board that heats.
 fn heating() -> Bench {
@@ -94,7 +99,7 @@ fn system_faults_open_the_bridge_and_are_told_apart() {
     type Cause = fn(&mut Machine);
     let causes: [(&str, Fault, Cause); 2] = [
         ("supply", Fault::SUPPLY_LOW, |machine| {
-            machine.chip().set_supply_low(true);
+            machine.chip().set_supply_v(SAGGED_V);
         }),
         ("lock-up", Fault::CORE_LOCKUP, |machine| {
             machine.chip().system_fault(syscfg::cfgr2::CLL);
@@ -119,7 +124,7 @@ fn a_supply_that_stays_low_keeps_the_bridge_open_across_restarts() {
     let before = client.status().unwrap();
     assert_eq!(before.state, State::Heating);
     bench.with(|machine| {
-        machine.chip().set_supply_low(true);
+        machine.chip().set_supply_v(SAGGED_V);
         machine.chip().hrtim.off_at = None;
     });
     // The first restart comes after 0.1 s, the next one 1 s later.
@@ -133,7 +138,7 @@ fn a_supply_that_stays_low_keeps_the_bridge_open_across_restarts() {
     let status = client.status().unwrap();
     assert_eq!(status.fault, Fault::SUPPLY_LOW);
     assert!(before.tries_left - status.tries_left >= 2, "{status:?}");
-    bench.with(|machine| machine.chip().set_supply_low(false));
+    bench.with(|machine| machine.chip().set_supply_v(NOMINAL_SUPPLY_V));
     bench.run_s(1.2);
     assert_eq!(client.status().unwrap().state, State::Heating);
     assert_no_violations(&bench);
@@ -157,9 +162,9 @@ fn a_dip_at_the_end_of_a_pot_probe_is_reported() {
     let bench = asked();
     let off_at = bench.with(move |machine| {
         machine.run_until(first_end - us(10)).unwrap();
-        machine.chip().set_supply_low(true);
+        machine.chip().set_supply_v(SAGGED_V);
         machine.run_for(us(5)).unwrap();
-        machine.chip().set_supply_low(false);
+        machine.chip().set_supply_v(NOMINAL_SUPPLY_V);
         machine.run_for(us(1_000)).unwrap();
         machine.chip().hrtim.off_at.expect("the outputs went off")
     });

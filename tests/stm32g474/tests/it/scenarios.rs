@@ -133,8 +133,8 @@ impl ImageRun {
             let pins = &mut machine.chip().pins;
             let applied = surroundings.apply(pins, &change);
             applied.expect("a pot that has a model");
-            let is_low = pins.is_supply_low();
-            machine.chip().set_supply_low(is_low);
+            let supply_v = pins.supply_v();
+            machine.chip().set_supply_v(supply_v);
             surroundings
         });
         match &timed.change {

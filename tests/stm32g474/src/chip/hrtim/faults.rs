@@ -17,15 +17,38 @@ pub(super) const INPUTS: [[Field; 5]; 4] = {
     ]
 };
 
-/// Handles a write to FLTINR2, which holds the upper bits of the sources of inputs 1 to 4; returns the word to store.
+/// Upper bits of their sources, in FLTINR2.
+const UPPER_SOURCES: [Field; 4] = {
+    use hrtim_common::fltinr2::*;
+    [FLT1SRC_1, FLT2SRC_1, FLT3SRC_1, FLT4SRC_1]
+};
+
+/// Handles a write to FLTINR2; returns the word to store.
 pub(super) fn sources_written(before: u32, value: u32, file: &RegisterFile, log: &mut Log) -> u32 {
-    use hrtim_common::fltinr2::{FLT1SRC_1, FLT2SRC_1, FLT3SRC_1};
-    for (source, [enable, ..]) in [FLT1SRC_1, FLT2SRC_1, FLT3SRC_1].into_iter().zip(INPUTS) {
+    for (source, [enable, ..]) in UPPER_SOURCES.into_iter().zip(INPUTS) {
         if (value ^ before) & source.mask() != 0 && file.is(enable) {
             log.broken("HRTIM FLTINR2: a source changes only while FLTxE is 0 (RM0440 27.5.51)");
         }
     }
     value
+}
+
+/// Returns `true` if a fault input is on, is active high and has one of the sources: 0 for its pin, 1 for a comparator, 2 for an
+/// external event (RM0440, 27.5.50).
+fn takes(input: usize, from: u32, file: &RegisterFile) -> bool {
+    let [enable, polarity, source, ..] = INPUTS[input];
+    let selected = file.get(UPPER_SOURCES[input]) << 1 | file.get(source);
+    file.is(enable) && file.is(polarity) && selected == from
+}
+
+/// Returns `true` if a fault input follows its comparator.
+pub fn takes_comparator(input: usize, file: &RegisterFile) -> bool {
+    takes(input, 1, file)
+}
+
+/// Returns `true` if fault input 2 follows external event 2.
+pub fn takes_event_2(file: &RegisterFile) -> bool {
+    takes(1, 2, file)
 }
 
 /// Faults whose cause is there, independent of their flags.
@@ -40,21 +63,18 @@ pub struct ActiveFaults {
 impl Hrtim {
     /// Returns `true` if external event 2 has no effect: fault input 2 does not use it, or has tripped already.
     pub fn is_event_2_taken(&self, file: &RegisterFile) -> bool {
-        use hrtim_common::{fltinr1, fltinr2, isr};
-        // FLT2SRC = 2: the external event; FLT2P: active high.
-        let takes = file.is(fltinr1::FLT2E)
-            && file.is(fltinr1::FLT2P)
-            && file.is(fltinr2::FLT2SRC_1)
-            && !file.is(fltinr1::FLT2SRC);
-        !takes || file.is(isr::FLT2)
+        !takes_event_2(file) || file.is(hrtim_common::isr::FLT2)
+    }
+
+    /// Handles a comparator's trip at its fault input, which may follow something else.
+    pub fn comparator_tripped(&mut self, input: usize, file: &mut RegisterFile, now: Ticks) {
+        if takes_comparator(input, file) {
+            self.fault_input(input, file, now);
+        }
     }
 
     /// Handles an active fault input: switches the outputs off if it is armed.
     pub fn fault_input(&mut self, input: usize, file: &mut RegisterFile, now: Ticks) {
-        let [enable, ..] = INPUTS[input];
-        if !file.is(enable) {
-            return;
-        }
         let flags = file.word(hrtim_common::isr::ADDRESS) | 1 << input;
         file.set_word(hrtim_common::isr::ADDRESS, flags);
         if file.word(hrtim_tima::fltar::ADDRESS) & 1 << input != 0 {
