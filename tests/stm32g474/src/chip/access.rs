@@ -1,7 +1,6 @@
 //! Read and write accesses of the processor: dispatch to the peripherals, and the effects of a write on the chip.
 
-use ihd_shared::board::Pin;
-
+use super::ports::PORT_BYTES;
 use super::{Chip, Reset, clocks};
 use crate::cpu::nvic::NMI;
 use crate::registers as reg;
@@ -14,9 +13,6 @@ const PMA_BYTES: u32 = 0x400;
 
 /// First address of the processor's own registers and of DBGMCU.
 const SYSTEM: u32 = 0xE000_0000;
-
-/// Address distance between the registers of two neighbouring ports.
-const PORT_BYTES: u32 = 0x400;
 
 impl Chip {
     /// Reads `bytes` at an address of a peripheral.
@@ -64,28 +60,6 @@ impl Chip {
         word >> (8 * (address & 3))
     }
 
-    /// Input levels of a port, 0 for A.
-    fn levels(&self, port: u8) -> u32 {
-        // GPIOx_PUPDR: 1 is a pull-up.
-        let pulls = self
-            .file
-            .word(reg::gpioa::pupdr::ADDRESS + PORT_BYTES * u32::from(port));
-        let pulled_up = (0..16).filter(|pin| pulls >> (2 * pin) & 3 == 1);
-        let released = self
-            .file
-            .word(reg::gpioa::odr::ADDRESS + PORT_BYTES * u32::from(port));
-        let pulled_up = pulled_up.map(|pin| 1 << pin).sum();
-        self.pins.levels(port, pulled_up, released)
-    }
-
-    /// Output level that the program sets at a pin.
-    pub fn driven(&self, pin: Pin) -> bool {
-        let out = self
-            .file
-            .word(reg::gpioa::odr::ADDRESS + PORT_BYTES * u32::from(pin.port));
-        out >> pin.line & 1 == 1
-    }
-
     /// Writes `bytes` at an address of a peripheral.
     pub fn write(&mut self, address: u32, bytes: usize, value: u32) {
         if (PMA..PMA + PMA_BYTES).contains(&address) {
@@ -124,6 +98,8 @@ impl Chip {
                 "USB registers accessed while the peripheral's clock is off (RM0440 7.2.16)",
             );
         }
+        self.oscillators.settle(&mut self.file, self.log.now);
+        clocks::check_48_mhz("USB", &self.file, &mut self.log);
     }
 
     /// Reads a register of TIM16, captures up to now included. Reading CCR1 clears CC1IF (RM0440 29.6.5).
@@ -185,12 +161,15 @@ impl Chip {
                 clocks::after_rcc_write(a, before, &mut self.oscillators, file, log)
             }
             a if in_block(a, reg::pwr::BASE, 0x400) => clocks::after_pwr_write(file, log),
-            reg::rng::cr::ADDRESS => self.random.enable(file, log.now),
+            reg::rng::cr::ADDRESS => self.random.enable(file, log),
             reg::flash::flash_acr::ADDRESS => clocks::after_wait_states_write(file, log),
             _ => {}
         }
         if in_block(address, reg::pwr::BASE, 0x400) {
             self.update_supply_detector();
+        }
+        if in_block(address, reg::gpioa::BASE, 3 * PORT_BYTES) {
+            self.check_share_wire();
         }
         let starts = |word: u32| reg::adc1::cr::ADSTART.extract(word) == 1;
         if address == reg::adc4::cr::ADDRESS

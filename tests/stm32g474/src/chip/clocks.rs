@@ -125,6 +125,17 @@ impl Oscillators {
     }
 }
 
+/// Checks the 48 MHz of USB and RNG, HSI48 alone in this image (RM0440, RCC_CCIPR: CLK48SEL); returns `true` if they are there.
+pub fn check_48_mhz(of: &str, file: &RegisterFile, log: &mut Log) -> bool {
+    let is_there = file.is(rcc::rcc_crrcr::HSI48RDY) && !file.is(rcc::rcc_ccipr::CLK48SEL);
+    if !is_there {
+        log.broken(format!(
+            "{of} without 48 MHz: HSI48RDY, CLK48SEL (RM0440 7.4.27)"
+        ));
+    }
+    is_there
+}
+
 /// Applies the effects of a stored write to RCC.
 pub fn after_rcc_write(
     address: u32,

@@ -11,6 +11,7 @@ mod fault_levels;
 pub mod flash;
 pub mod hrtim;
 pub mod low_speed;
+pub mod ports;
 pub mod random;
 pub mod register_file;
 pub mod serial;

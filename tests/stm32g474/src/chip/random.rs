@@ -1,9 +1,10 @@
 //! RNG: words of noise, one every 40 cycles of HSI48 (RM0440, 26).
 
-use crate::registers::{rcc::rcc_crrcr, rng};
+use crate::registers::rng;
 use crate::time::{TICKS_PER_S, Ticks};
 use crate::violation::Log;
 
+use super::clocks;
 use super::register_file::RegisterFile;
 
 /// Time between two words.
@@ -37,9 +38,9 @@ impl Random {
     }
 
     /// Handles a write of CR.
-    pub fn enable(&mut self, file: &RegisterFile, now: Ticks) {
-        let on = file.is(rng::cr::RNGEN) && file.is(rcc_crrcr::HSI48RDY);
-        self.ready_at = on.then_some(now + WORD);
+    pub fn enable(&mut self, file: &RegisterFile, log: &mut Log) {
+        let on = file.is(rng::cr::RNGEN) && clocks::check_48_mhz("RNG", file, log);
+        self.ready_at = on.then_some(log.now + WORD);
     }
 
     /// Reads SR or DR.

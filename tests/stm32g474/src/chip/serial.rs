@@ -6,10 +6,16 @@ use crate::registers::{lpuart1, rcc};
 use crate::time::{TICKS_PER_S, Ticks};
 use crate::violation::Log;
 
+use super::ports::carries;
 use super::register_file::RegisterFile;
 
 /// Interrupt number (RM0440, 14.3, vector table).
 pub const INTERRUPT: usize = 91;
+
+/// Lines of port A that are wired, PA2 and PA3, and the alternate function that leads LPUART1 to them (DS12288, table 13).
+const TRANSMIT_LINE: u8 = 2;
+const RECEIVE_LINE: u8 = 3;
+const FUNCTION: u32 = 12;
 
 /// Bits on the line for a byte: start, 8, stop.
 const FRAME_BITS: u64 = 10;
@@ -91,7 +97,10 @@ impl Serial {
         if let Some((byte, until)) = self.shifting
             && now >= until
         {
-            self.sent.push_back(byte);
+            // Otherwise nobody sees it.
+            if carries(TRANSMIT_LINE, FUNCTION, file) {
+                self.sent.push_back(byte);
+            }
             self.shifting = None;
             self.complete = self.holding.is_empty();
             if let Some(next) = self.holding.pop_front() {
@@ -106,7 +115,7 @@ impl Serial {
             // Without room the byte is lost (ORE).
             if self.received.len() >= Self::depth(file) {
                 self.overrun = true;
-            } else {
+            } else if carries(RECEIVE_LINE, FUNCTION, file) {
                 self.received.push_back(byte);
             }
             self.next_receive = now + Self::byte_ticks(file, hclk_hz);

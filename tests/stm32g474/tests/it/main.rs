@@ -23,3 +23,4 @@ mod start;
 mod supply;
 mod temperatures;
 mod timing;
+mod wrong_fields;
