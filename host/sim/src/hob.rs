@@ -180,6 +180,7 @@ impl SimHob {
         let (drive, slow) = self.run_block();
         let end_s = self.plant.t_s();
         self.put_in_force(drive);
+        let (drive, _) = self.drive;
         let since_s = self.plant.mains().since_crossing_s(end_s);
         if drive.is_switching() && self.truth.f_sw_hz == 0.0 && since_s > SETTLED_AFTER_S {
             self.truth.f_sw_hz = f64::from(drive.f_sw_hz);
@@ -196,9 +197,9 @@ impl SimHob {
         }
     }
 
-    /// Takes the next block from the converters and runs the sampling path on it; returns the drive that it wants, and the codes of the
-    /// slow converter.
-    fn run_block(&mut self) -> (Drive, SlowCodes) {
+    /// Takes the next block from the converters and runs the sampling path on it; returns the drive that it wants, `None` if the block
+    /// is lost, and the codes of the slow converter.
+    fn run_block(&mut self) -> (Option<Drive>, SlowCodes) {
         let start_s = self.plant.t_s();
         let link_before_c = self.plant.link_charge_c();
         let mut pairs = self.sample();
@@ -206,8 +207,17 @@ impl SimHob {
         let half = self.plant.divided().half;
         let slow = self.slow_adc.block(self.plant.divided());
         let slow = self.injections.on_slow(slow);
-        let crossing = self.zero_crossing.on_block(slow.mains);
         self.injections.on_pairs(&mut pairs);
+        let codes = SlowCodes {
+            bus: slow.bus[BUS_MEAN - 1],
+            mains: slow.mains as i16,
+        };
+        if self.injections.on_block() {
+            // After a reset there is no last one.
+            self.lost += u32::from(self.sampling_path.blocks() > 0);
+            return (None, codes);
+        }
+        let crossing = self.zero_crossing.on_block(slow.mains);
         let scale = self.housekeeping.control().supply_scale();
         let words = Pair::words(&pairs).map(|word| scale.pair(word));
         let block = AdcBlock {
@@ -219,23 +229,13 @@ impl SimHob {
                 // A current that flows back reads as zero.
                 (1e3 * charge_c / (end_s - start_s)).round().max(0.0) as u32
             }),
-            lost: self.lost,
+            lost: std::mem::take(&mut self.lost),
         };
-        let slow = SlowCodes {
-            bus: slow.bus[BUS_MEAN - 1],
-            mains: slow.mains as i16,
-        };
-        (self.run_sampling_path(&block, end_s), slow)
+        (Some(self.run_sampling_path(&block, end_s)), codes)
     }
 
-    /// Runs the sampling path on a block that ends at `end_s` seconds, unless the block is lost; returns the drive that it wants.
+    /// Runs the sampling path on a block that ends at `end_s` seconds; returns the drive that it wants.
     fn run_sampling_path(&mut self, block: &AdcBlock<'_>, end_s: f64) -> Drive {
-        if self.injections.on_block() {
-            // After a reset there is no last one.
-            self.lost += u32::from(self.sampling_path.blocks() > 0);
-            return self.sampling_path.drive();
-        }
-        self.lost = 0;
         let due_s = end_s + SAMPLING_WATCHDOG_S;
         let bites = self.plant.feed_sampling_watchdog(due_s);
         if bites && self.sampling_path.drive().bridge != Bridge::Open {
@@ -265,13 +265,15 @@ impl SimHob {
     }
 
     /// Passes a drive to the bridge as the board does: both switches open and the lower one closes at once, new periods begin a
-    /// block later, with the block after the one that runs.
-    fn put_in_force(&mut self, drive: Drive) {
-        let share = self.soft_start.on_block(drive);
-        let before = std::mem::replace(&mut self.drive, (drive, share));
-        let (due, share) = match drive.is_switching() {
+    /// block later, with the block after the one that runs. A lost block brings no drive (`None`): then only those periods begin.
+    fn put_in_force(&mut self, drive: Option<Drive>) {
+        let before = self.drive;
+        if let Some(drive) = drive {
+            self.drive = (drive, self.soft_start.on_block(drive));
+        }
+        let (due, share) = match self.drive.0.is_switching() {
             true => before,
-            false => (drive, share),
+            false => self.drive,
         };
         self.plant.set_drive(due);
         self.plant
@@ -304,7 +306,7 @@ impl SimHob {
         self.inbound.clear();
         self.outbound.clear();
         let drive = self.sampling_path.drive();
-        self.put_in_force(drive);
+        self.put_in_force(Some(drive));
     }
 
     /// Simulates a block of samples, and its truth.
@@ -370,13 +372,15 @@ impl SimHob {
 
     /// Updates the temperatures by a half-cycle.
     fn warm_up(&mut self, reading: &MeterReading) {
-        let bus_v = self.plant.mains().peak_v;
+        let mains_v = self.plant.mains().peak_v;
+        let bench_supply_v = self.plant.bench_supply_v();
+        let bus_v = bench_supply_v.unwrap_or(mains_v);
         let node_f = f64::from(NODE_CAPACITANCE_NF) * 1e-9;
         let heat = Heat {
             i_mean_a: reading.i_mean_a,
             i_square_a2: reading.i_square_a2,
-            // For a resistor on a sine the mean current is P·(4/π)/V̂.
-            mains_a: match bus_v > 1.0 {
+            // For a resistor on a sine the mean current is P·(4/π)/V̂. A bench supply feeds the bus past the rectifier.
+            mains_a: match bench_supply_v.is_none() && bus_v > 1.0 {
                 true => reading.power_w() * std::f64::consts::FRAC_2_PI * 2.0 / bus_v,
                 false => 0.0,
             },

@@ -263,6 +263,11 @@ impl Plant {
         self.inverter.bus.set_supply(supply_v);
     }
 
+    /// Voltage of that supply in volt, if there is one.
+    pub fn bench_supply_v(&self) -> Option<f64> {
+        self.inverter.bus.supply_v()
+    }
+
     /// Bus voltage in volt.
     pub fn bus_v(&self) -> f64 {
         self.inverter.bus.v()

@@ -59,6 +59,47 @@ fn blocks_lost(hob: &mut SimHob, for_s: f64) {
     hob.step();
 }
 
+/// The board's converter task returns before it has a drive (`firmware/src/board/stm32g474/adc.rs`).
+#[test]
+fn a_lost_block_does_not_take_the_soft_start_on() {
+    let mut hob = SimHob::new(&HobConfig::default());
+    hob.panel(PanelEvent::Level(7));
+    while !hob.drive.0.is_switching() {
+        hob.step();
+    }
+    let (drive, share) = hob.drive;
+    let mut number = 0;
+    hob.inject(|all| {
+        number = all.start(Injection {
+            kind: InjectionKind::LostBlocks,
+            value: 1.0,
+            channel: FaultChannel::Current,
+        });
+    });
+    hob.step();
+    assert_eq!(hob.drive, (drive, share));
+    hob.inject(|all| all.end(number));
+    hob.step();
+    assert_eq!(hob.drive.1, share + 1);
+}
+
+/// 40 V on the bus: past the rectifier, and at its own voltage at each edge.
+#[test]
+fn a_bench_supply_warms_no_rectifier() {
+    let mut hob = SimHob::new(&HobConfig {
+        bench_supply_v: Some(40.0),
+        ..HobConfig::default()
+    });
+    let before_c = hob.temperatures().heat_sink_c;
+    let reading = MeterReading {
+        duration_s: 0.01,
+        energy_j: 10.0,
+        ..MeterReading::default()
+    };
+    hob.warm_up(&reading);
+    assert_eq!(hob.temperatures().heat_sink_c, before_c);
+}
+
 /// docs/board.md, "Protection": the sampling watchdog needs no software, the other one resets after 60 ms.
 #[test]
 fn without_blocks_the_bridge_opens_after_half_a_millisecond_and_the_program_is_reset() {

@@ -159,6 +159,11 @@ impl Bus {
         self.v = supply_v;
     }
 
+    /// Voltage of the bench supply in volt, if there is one.
+    pub fn supply_v(&self) -> Option<f64> {
+        self.supply_v
+    }
+
     /// The mains.
     pub fn mains(&self) -> SimulatedMains {
         self.mains

@@ -59,7 +59,7 @@ pub struct Sensing {
     pub ringing_hz: f64,
     /// Decay time of the ringing in seconds.
     pub ringing_decay_s: f64,
-    /// Spikes per second on each channel, single samples of up to half the range.
+    /// Spikes per second on each channel, single samples off by up to a quarter of the range.
     pub spikes_per_s: f64,
 }
 
