@@ -100,7 +100,7 @@ fn write_wire(chip: &mut Chip) {
     chip.write(address, 4, chip.file.word(address));
 }
 
-/// Last, as the counters begin anew beside conversions under way.
+/// Fields of the counters; last, as these begin anew beside conversions under way.
 const BEFORE_COUNTERS: [Reported; 4] = [
     (hrtim_tima::timacr::CONT, 0, "CONT"),
     (hrtim_timb::timbcr::CONT, 0, "CONT"),
