@@ -278,7 +278,8 @@ impl LeaseBook {
     /// lease ends and is returned.
     pub fn check_device_power(&mut self, asked_w: u16, has_panel: bool) -> Option<LostLease> {
         let power_w = self.held.as_ref()?.power_w;
-        if power_w == 0 || asked_w == power_w || (has_panel && asked_w > 0) {
+        let is_lowered = has_panel && (1..power_w).contains(&asked_w);
+        if power_w == 0 || asked_w == power_w || is_lowered {
             return None;
         }
         let holder = self.end()?;

@@ -27,6 +27,9 @@ fn power_that_the_device_has_not_ends_the_lease() {
         (0, true, true, 0),
         // Another host's request.
         (500, false, true, 900),
+        (2_000, false, true, 900),
+        // A panel only lowers it.
+        (2_000, true, true, 900),
     ] {
         let mut book = LeaseBook::default();
         let (id, _) = book.begin_command("a", now).unwrap();
