@@ -64,6 +64,11 @@ impl DeviceSession<'_> {
             }
             Command::Power { power_w } => {
                 let granted = self.power(lease, power_w).await;
+                if granted.as_ref().is_err_and(HeatError::is_unknown) {
+                    // Without a confirmed off the session ends, and its keep-alive with it.
+                    session = self.end_heating("power was not answered").await;
+                }
+                let granted = granted.map_err(|error| error.to_string());
                 granted.map(|granted| CommandReply {
                     granted_w: Some(granted.granted_w),
                     ..CommandReply::with_text(granted.to_string())
@@ -151,24 +156,11 @@ impl DeviceSession<'_> {
         &mut self,
         lease: Option<LeaseId>,
         power_w: u16,
-    ) -> Result<GrantedPower, String> {
-        let lease = lease.ok_or_else(|| LeaseError::Ended.to_string())?;
+    ) -> Result<GrantedPower, HeatError> {
+        let lease = lease.ok_or(LeaseError::Ended)?;
         self.sweep = None;
         self.record.lock().sweep_left_w.clear();
-        match self.heat(lease, power_w).await {
-            Ok(granted) => Ok(granted),
-            Err(error) => {
-                let is_unknown = match &error {
-                    HeatError::Lease(_) | HeatError::Link(LinkError::Refused { .. }) => false,
-                    HeatError::Link(_) => true,
-                };
-                if is_unknown {
-                    // The device may heat without a valid request.
-                    let _ = self.off().await;
-                }
-                Err(error.to_string())
-            }
-        }
+        self.heat(lease, power_w).await
     }
 
     fn start_sweep(&mut self, lease: Option<LeaseId>, powers_w: &[u16]) -> Result<String, String> {

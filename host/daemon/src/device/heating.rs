@@ -26,6 +26,16 @@ pub(super) enum HeatError {
     Link(#[from] LinkError),
 }
 
+impl HeatError {
+    /// Returns `true` if the device may have taken the power.
+    pub(super) fn is_unknown(&self) -> bool {
+        match self {
+            Self::Lease(_) | Self::Link(LinkError::Refused { .. }) => false,
+            Self::Link(_) => true,
+        }
+    }
+}
+
 impl DeviceSession<'_> {
     /// Sends the keep-alive while heating for a lease, and queries a silent device.
     pub(super) async fn keep_alive(&mut self) -> Result<(), SessionEnd> {

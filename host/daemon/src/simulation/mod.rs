@@ -28,6 +28,8 @@ mod script;
 mod slow_store;
 #[cfg(test)]
 mod stale_lookup;
+#[cfg(test)]
+mod unanswered;
 mod users;
 mod world;
 

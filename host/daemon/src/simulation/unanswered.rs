@@ -1,0 +1,43 @@
+//! Requests of power whose answer is lost, or which waited for too long.
+
+use std::time::Duration;
+
+use ihd_model::Command;
+use tokio::time::sleep;
+
+use super::calm::with_daemon;
+use super::hob::HOBS;
+use super::world::World;
+
+const POWER_W: u16 = 900;
+
+/// Returns the requested power of the left hob now, in watt.
+fn asked_w(world: &World) -> u16 {
+    let now = world.now();
+    let hob = &mut world.lock().sockets[0].hob;
+    hob.advance_to(now);
+    hob.asked_w()
+}
+
+/// The hob has the power of the request already, so that no check of its power finds a difference.
+#[test]
+fn power_without_an_answer_ends_even_if_its_off_has_none() {
+    with_daemon(async |world, daemon| {
+        let name = HOBS[0];
+        daemon.take_lease(name, "ada", false).await.unwrap();
+        let heat = Command::Power { power_w: POWER_W };
+        let first = daemon.command(name, "ada", heat.clone());
+        first.await.expect("it heats");
+        world.lock().sockets[0].is_mute = true;
+        let asking = daemon.clone();
+        let again = tokio::spawn(async move { asking.command(name, "ada", heat).await });
+        // The request takes 2 s, then two requests to switch off.
+        sleep(Duration::from_secs(5)).await;
+        assert_eq!((asked_w(world), again.is_finished()), (POWER_W, false));
+        world.lock().sockets[0].is_mute = false;
+        again.await.unwrap().expect_err("nothing was answered");
+        sleep(Duration::from_secs(1)).await;
+        assert!(daemon.view().device(name).unwrap().lease.is_some());
+        assert_eq!(asked_w(world), 0);
+    });
+}
