@@ -50,11 +50,19 @@ impl DeviceSession<'_> {
         lease: Option<LeaseId>,
         reply: ReplySender,
     ) -> Result<(), SessionEnd> {
+        if reply.is_closed() {
+            // Its requester was told that it is not carried out.
+            return Ok(());
+        }
         if let Err(why) = self.check_lease(&command, lease) {
             let _ = reply.send(Err(self.refused_error(&why)));
             return Ok(());
         }
         let mut session = Ok(());
+        let may_heat = match &command {
+            Command::Power { power_w } => *power_w > 0,
+            command => matches!(command, Command::Sweep { .. }),
+        };
         let outcome = match command {
             Command::Off | Command::Power { power_w: 0 } => {
                 let off = self.off().await;
@@ -114,7 +122,11 @@ impl DeviceSession<'_> {
                 return Ok(());
             }
         };
-        let _ = reply.send(outcome.map_err(|why| self.refused_error(&why)));
+        let heats = may_heat && outcome.is_ok();
+        let replied = reply.send(outcome.map_err(|why| self.refused_error(&why)));
+        if heats && replied.is_err() {
+            return self.end_heating("its requester waited no longer").await;
+        }
         session
     }
 

@@ -20,3 +20,11 @@ pub fn with_daemon(test: impl AsyncFnOnce(&Arc<World>, &Daemon)) {
         world.end_life();
     });
 }
+
+/// Returns the requested power of the left hob now, in watt.
+pub fn asked_w(world: &World) -> u16 {
+    let now = world.now();
+    let hob = &mut world.lock().sockets[0].hob;
+    hob.advance_to(now);
+    hob.asked_w()
+}

@@ -8,22 +8,31 @@ use ihd_shared::lookup::prior::prior;
 use ihd_store::ResultFilter;
 use tokio::time::sleep;
 
-use super::calm::with_daemon;
+use super::calm::{asked_w, with_daemon};
 use super::disk::DiskState;
 use super::hob::HOBS;
-use super::world::World;
+use crate::daemon::Daemon;
 use crate::device::DeviceRequest;
 use crate::learning::LookupToPush;
 use crate::lease::LEASE_S;
 
 const POWER_W: u16 = 900;
 
-/// Returns the requested power of the left hob now, in watt.
-fn asked_w(world: &World) -> u16 {
-    let now = world.now();
-    let hob = &mut world.lock().sockets[0].hob;
-    hob.advance_to(now);
-    hob.asked_w()
+/// Fills the queue of a device's task with lookups of the learner, each of which waits a second for the silent store.
+fn flood_with_lookups(daemon: &Daemon, name: &str) {
+    let requests = daemon.handle_of(name).unwrap().requests;
+    tokio::spawn(async move {
+        for version in 1.. {
+            let lookup = RlLookup { version, ..prior() };
+            let push = DeviceRequest::PushLookup {
+                lookup: Box::new(LookupToPush::without_certainty(lookup)),
+                forgotten_count: 0,
+            };
+            if requests.send(push).await.is_err() {
+                return;
+            }
+        }
+    });
 }
 
 /// The device's task waits for the store again and again. Meanwhile it keeps the hob heating for a lease that is renewed, and switches
@@ -40,19 +49,7 @@ fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
             delay: Duration::from_secs(3_600),
             ..DiskState::default()
         });
-        let requests = daemon.handle_of(name).unwrap().requests;
-        tokio::spawn(async move {
-            for version in 1.. {
-                let lookup = RlLookup { version, ..prior() };
-                let push = DeviceRequest::PushLookup {
-                    lookup: Box::new(LookupToPush::without_certainty(lookup)),
-                    forgotten_count: 0,
-                };
-                if requests.send(push).await.is_err() {
-                    return;
-                }
-            }
-        });
+        flood_with_lookups(daemon, name);
         for _ in 0..12 {
             lease().await;
             sleep(Duration::from_secs(5)).await;
@@ -74,5 +71,37 @@ fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
         let end = Duration::from_secs(LEASE_S);
         let late = Duration::from_millis(1_200);
         assert!(after >= end && after <= end + late, "off after {after:?}");
+    });
+}
+
+/// Its client was told after 15 s that it is not carried out.
+#[test]
+fn power_that_waited_for_too_long_is_not_carried_out_later() {
+    with_daemon(async |world, daemon| {
+        let name = HOBS[0];
+        let lease = || async { daemon.take_lease(name, "ada", false).await.unwrap() };
+        lease().await;
+        let heat = Command::Power { power_w: POWER_W };
+        daemon.command(name, "ada", heat).await.expect("it heats");
+        world.disk.set(DiskState {
+            delay: Duration::from_secs(3_600),
+            ..DiskState::default()
+        });
+        flood_with_lookups(daemon, name);
+        sleep(Duration::from_secs(5)).await;
+        let asking = daemon.clone();
+        let raised = tokio::spawn(async move {
+            let power_w = POWER_W + 300;
+            asking
+                .command(name, "ada", Command::Power { power_w })
+                .await
+        });
+        for _ in 0..10 {
+            lease().await;
+            sleep(Duration::from_secs(4)).await;
+            assert_eq!(asked_w(world), POWER_W);
+        }
+        let refused = raised.await.unwrap().unwrap_err().to_string();
+        assert!(refused.contains("not carried out within 15 s"), "{refused}");
     });
 }

@@ -1,23 +1,14 @@
-//! Requests of power whose answer is lost, or which waited for too long.
+//! Request of power whose answer is lost, and that of its off.
 
 use std::time::Duration;
 
 use ihd_model::Command;
 use tokio::time::sleep;
 
-use super::calm::with_daemon;
+use super::calm::{asked_w, with_daemon};
 use super::hob::HOBS;
-use super::world::World;
 
 const POWER_W: u16 = 900;
-
-/// Returns the requested power of the left hob now, in watt.
-fn asked_w(world: &World) -> u16 {
-    let now = world.now();
-    let hob = &mut world.lock().sockets[0].hob;
-    hob.advance_to(now);
-    hob.asked_w()
-}
 
 /// The hob has the power of the request already, so that no check of its power finds a difference.
 #[test]
