@@ -291,32 +291,31 @@ impl Store {
     /// # Errors
     /// Errors of the database.
     pub fn adopt_lookup(&mut self, device: DeviceId, lookup: &RlLookup) -> Result<(), StoreError> {
-        let (at_ms, blob) = (self.now(), lookup.to_bytes());
+        let at_ms = self.now();
         self.change("adopting a lookup", |change| {
-            let known = change
-                .query_row(
-                    "SELECT id FROM lookups WHERE device = ?1 AND version = ?2 AND blob = ?3
-                     ORDER BY id DESC LIMIT 1",
-                    params![device, lookup.version, blob],
-                    |row| row.get(0),
-                )
-                .optional()?;
-            let id = match known {
-                Some(id) => id,
-                // Superseded until the next statement: the schema allows one active lookup.
-                None => {
-                    let as_what = ("superseded", "device");
-                    insert(
-                        change,
-                        device,
-                        lookup,
-                        as_what,
-                        at_ms,
-                        "found on the device",
-                    )?
-                }
-            };
-            make_active(change, device, id, at_ms)
+            adopt(change, device, lookup, at_ms)
+        })
+    }
+
+    /// Deletes the stored state of a device's learner, and makes `lookup` the active one as [`Store::adopt_lookup`]; results stay. Changes
+    /// nothing if `may_begin`, which is called once the database is locked for the change, returns `false`. Returns what it returned.
+    ///
+    /// # Errors
+    /// Errors of the database.
+    pub fn reset_learning(
+        &mut self,
+        device: DeviceId,
+        lookup: &RlLookup,
+        may_begin: impl FnOnce() -> bool,
+    ) -> Result<bool, StoreError> {
+        let at_ms = self.now();
+        self.change("forgetting what was learned", |change| {
+            if !may_begin() {
+                return Ok(false);
+            }
+            change.execute("DELETE FROM learned WHERE device = ?1", [device])?;
+            adopt(change, device, lookup, at_ms)?;
+            Ok(true)
         })
     }
 
@@ -348,6 +347,38 @@ impl Store {
     pub fn lookups(&self, device: DeviceId) -> Result<Vec<LookupRow>, StoreError> {
         of_device(self.records(), "id", device).map_err(self.failed("listing lookups"))
     }
+}
+
+fn adopt(
+    change: &Transaction<'_>,
+    device: DeviceId,
+    lookup: &RlLookup,
+    at_ms: i64,
+) -> rusqlite::Result<()> {
+    let known = change
+        .query_row(
+            "SELECT id FROM lookups WHERE device = ?1 AND version = ?2 AND blob = ?3
+             ORDER BY id DESC LIMIT 1",
+            params![device, lookup.version, lookup.to_bytes()],
+            |row| row.get(0),
+        )
+        .optional()?;
+    let id = match known {
+        Some(id) => id,
+        // Superseded until the next statement: the schema allows one active lookup.
+        None => {
+            let as_what = ("superseded", "device");
+            insert(
+                change,
+                device,
+                lookup,
+                as_what,
+                at_ms,
+                "found on the device",
+            )?
+        }
+    };
+    make_active(change, device, id, at_ms)
 }
 
 fn insert(

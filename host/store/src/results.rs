@@ -369,15 +369,4 @@ impl Store {
         let state = self.records().query_row(sql, [device], |row| row.get(0));
         state.optional().map_err(self.failed("reading alloys"))
     }
-
-    /// Deletes the stored state of a device's learner; results stay.
-    ///
-    /// # Errors
-    /// Errors of the database.
-    pub fn forget_learner_state(&mut self, device: DeviceId) -> Result<(), StoreError> {
-        self.change("forgetting what was learned", |change| {
-            change.execute("DELETE FROM learned WHERE device = ?1", [device])?;
-            Ok(())
-        })
-    }
 }

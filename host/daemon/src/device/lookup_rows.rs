@@ -105,13 +105,22 @@ impl LookupRows<'_> {
         adopted.await
     }
 
-    /// Forgets what was learned and makes the built-in lookup the active one. Returns `None` if that is not stored.
+    /// Forgets what was learned and makes the built-in lookup the active one. Returns `None` if that is not stored, nor will be when the
+    /// store gets to it.
     pub async fn reset(&self) -> Option<()> {
         let device = self.device_id?;
-        let forgotten = self.wait.run(move |store| {
-            store.forget_learner_state(device)?;
-            store.adopt_lookup(device, &prior())
+        // Set by whichever comes first: the store that begins, or the end of the wait.
+        let is_decided = Arc::new(AtomicBool::new(false));
+        let by_store = Arc::clone(&is_decided);
+        let reset = self.wait.run(move |store| {
+            let may_begin = || !by_store.swap(true, Ordering::Relaxed);
+            let reset = store.reset_learning(device, &prior(), may_begin);
+            if reset.is_err() {
+                by_store.store(false, Ordering::Relaxed);
+            }
+            reset.map(drop)
         });
-        forgotten.await
+        let is_reset = reset.await.is_some();
+        (is_reset || is_decided.swap(true, Ordering::Relaxed)).then_some(())
     }
 }

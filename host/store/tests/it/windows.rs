@@ -330,8 +330,13 @@ fn result_and_what_was_learned_are_one_and_learning_again_replaces() {
     assert_eq!(store.learner_state(device).unwrap().unwrap(), b"state 1");
     let rows = store.results(&ResultFilter::default()).unwrap();
     assert_eq!((rows.len(), rows[0].r_ohm), (1, 3.0));
-    store.forget_learner_state(device).unwrap();
+    assert!(!store.reset_learning(device, &prior(), || false).unwrap());
+    assert_eq!(store.learner_state(device).unwrap().unwrap(), b"state 1");
+    assert_eq!(store.lookup("bench", None).unwrap(), None);
+    assert!(store.reset_learning(device, &prior(), || true).unwrap());
     assert_eq!(store.learner_state(device).unwrap(), None);
+    let active = store.lookup("bench", None).unwrap().unwrap();
+    assert_eq!(active.version, 0);
     assert_eq!(store.results(&ResultFilter::default()).unwrap().len(), 1);
     // What its pots taught is its own.
     assert_eq!(store.alloys(device).unwrap(), None);
