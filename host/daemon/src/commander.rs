@@ -145,6 +145,9 @@ impl Commander {
             let mut inner = record.lock();
             inner.lease.off();
             inner.sweep_left_w.clear();
+            if inner.client.is_some() {
+                inner.lease.require_off();
+            }
             inner.client.clone()
         };
         let client = client.ok_or_else(|| not_connected_error(record))?;

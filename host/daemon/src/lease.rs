@@ -38,6 +38,8 @@ pub struct LeaseBook {
     held: Option<ActiveLease>,
     /// Power of an ended lease that the device may still heat with, in watt.
     ending_w: u16,
+    /// `true` while an `off` is not confirmed, whoever requested the power.
+    is_off_due: bool,
     grants: u64,
     offs: u64,
 }
@@ -258,15 +260,25 @@ impl LeaseBook {
         }
     }
 
+    /// Requires that the device is switched off, whoever requested its power, until it confirms.
+    pub fn require_off(&mut self) {
+        self.is_off_due = true;
+    }
+
+    /// Returns `true` while a required `off` is not confirmed.
+    pub fn is_off_due(&self) -> bool {
+        self.is_off_due
+    }
+
     /// Returns the requested power in watt, of the lease or of an ended one that is not yet switched off.
     pub fn asked_w(&self) -> u16 {
         let held_w = self.held.as_ref().map_or(0, |held| held.power_w);
         held_w.max(self.ending_w)
     }
 
-    /// Returns `true` if power was requested that no valid lease covers: the device has to be switched off.
+    /// Returns `true` if power was requested that no valid lease covers, or an `off` is due: the device has to be switched off.
     pub fn must_switch_off(&self, now: Instant) -> bool {
-        self.ending_w > 0 || (self.asked_w() > 0 && self.current(now).is_none())
+        self.is_off_due || self.ending_w > 0 || (self.asked_w() > 0 && self.current(now).is_none())
     }
 
     /// Returns `true` if a valid lease has power, for which the device needs keep-alive messages.
@@ -292,6 +304,7 @@ impl LeaseBook {
     /// Records the device's confirmation that it is off.
     pub fn confirm_off(&mut self) {
         self.ending_w = 0;
+        self.is_off_due = false;
         if let Some(held) = &mut self.held {
             held.power_w = 0;
         }

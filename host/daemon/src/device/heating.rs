@@ -219,12 +219,16 @@ impl DeviceSession<'_> {
         switch_off(self.record, &self.link.client).await
     }
 
-    /// Switches off power requested through the daemon, for this reason; does nothing if there is none.
+    /// Switches off power requested through the daemon, or for an `off` that is due, for this reason; else does nothing.
     ///
     /// # Errors
     /// The end of the session, if the link failed.
     pub(super) async fn end_heating(&mut self, why: &str) -> Result<(), SessionEnd> {
-        if self.record.lock().lease.asked_w() == 0 && self.sweep.is_none() {
+        let has_power = {
+            let lease = &self.record.lock().lease;
+            lease.asked_w() > 0 || lease.is_off_due()
+        };
+        if !has_power && self.sweep.is_none() {
             return Ok(());
         }
         tracing::info!(device = self.record.name, why, "off");
@@ -235,9 +239,10 @@ impl DeviceSession<'_> {
     }
 
     /// Ends power from before this connection. A device ends it itself at the hello; one that still heats, and not for its
-    /// panel, is switched off.
+    /// panel, is switched off; for its panel too if an `off` is due.
     pub(super) async fn end_previous_power(&mut self, status: &Status) -> Result<(), LinkError> {
-        if status.asked_w == 0 || status.panel_level != NO_PANEL {
+        let is_off_due = self.record.lock().lease.is_off_due();
+        if status.asked_w == 0 || (status.panel_level != NO_PANEL && !is_off_due) {
             self.record.lock().lease.confirm_off();
             return Ok(());
         }

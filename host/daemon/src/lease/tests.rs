@@ -174,6 +174,22 @@ fn what_was_asked_for_before_an_off_heats_no_more_and_what_is_asked_for_later_do
     assert!(!book.end_command(waiting) && !book.end_command(later));
 }
 
+/// Of a panel or of another host: nothing was requested under a lease.
+#[test]
+fn power_of_whomever_has_to_end_until_an_off_is_confirmed() {
+    let now = Instant::now();
+    let mut book = LeaseBook::default();
+    book.off();
+    assert!(!book.must_switch_off(now));
+    book.require_off();
+    assert!(book.must_switch_off(now) && !book.heats(now));
+    assert_eq!(book.asked_w(), 0);
+    book.take("a", false, now).unwrap();
+    assert!(book.is_off_due() && book.must_switch_off(now));
+    book.confirm_off();
+    assert!(!book.is_off_due() && !book.must_switch_off(now));
+}
+
 #[test]
 fn power_of_a_lease_that_is_over_has_to_end_and_none_can_be_asked_for_under_it() {
     let now = Instant::now();

@@ -1,13 +1,16 @@
 //! Command `off`: it precedes all other work, and no earlier request heats after it.
 
-use std::time::Duration;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
 use ihd_model::{Command, DeviceState};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{LookupRow, LookupState, StoreReader};
 
-use super::rig::{Clock, Rig, command_stored, let_hob_run, nap, power, until, until_state};
+use super::rig::{
+    Clock, PATIENCE, Rig, command_stored, let_hob_run, nap, power, until, until_state,
+};
 
 /// Number of commands that wait for the device's task; more than its queue holds.
 const WAITING: usize = 20;
@@ -109,6 +112,26 @@ async fn off_ends_a_sweep_for_good() {
     }
     let report = until(&daemon, |r| r.sweep_left_w.is_empty()).await;
     assert!(!report.sweep_is_complete);
+    daemon.stop().await;
+}
+
+/// Its power is the panel's: no lease ends.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_off_without_an_answer_is_tried_again_until_the_hob_is_off() {
+    let rig = Rig::new(&["bench"]);
+    let daemon = rig.daemon().await;
+    rig.bench().panel(6);
+    until_state(&daemon, DeviceState::Learning).await;
+    rig.bench().mute.store(true, Ordering::Relaxed);
+    let off = daemon.command("bench", "b", Command::Off).await;
+    off.expect_err("nothing was answered");
+    assert!(rig.bench().asked_w() > 0);
+    rig.bench().mute.store(false, Ordering::Relaxed);
+    let deadline = Instant::now() + PATIENCE;
+    while rig.bench().asked_w() > 0 {
+        assert!(Instant::now() < deadline, "it heats on");
+        nap().await;
+    }
     daemon.stop().await;
 }
 
