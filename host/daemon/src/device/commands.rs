@@ -170,9 +170,11 @@ impl DeviceSession<'_> {
         power_w: u16,
     ) -> Result<GrantedPower, HeatError> {
         let lease = lease.ok_or(LeaseError::Ended)?;
+        let granted = self.heat(lease, power_w).await?;
+        // After a refusal the device has the sweep's power still.
         self.sweep = None;
         self.record.lock().sweep_left_w.clear();
-        self.heat(lease, power_w).await
+        Ok(granted)
     }
 
     fn start_sweep(&mut self, lease: Option<LeaseId>, powers_w: &[u16]) -> Result<String, String> {

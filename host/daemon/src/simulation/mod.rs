@@ -22,6 +22,8 @@ mod life;
 mod link;
 mod promises;
 mod recovery;
+#[cfg(test)]
+mod refused_power;
 mod samples;
 mod script;
 #[cfg(test)]
