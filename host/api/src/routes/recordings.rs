@@ -21,14 +21,14 @@ use http_range_header::parse_range_header;
 use ihd_daemon::recording::{RecordingExportError, RecordingTable, is_plain_name, table};
 use ihd_model::{Problem, RecordingFile};
 use serde::Deserialize;
-use tokio::sync::{Semaphore, mpsc};
+use tokio::sync::{Semaphore, SemaphorePermit, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use utoipa::IntoParams;
 
 use super::App;
 use crate::problem::{ApiQuery, ErrorResponse, PathName};
 
-/// Limits simultaneous conversions of the process: each keeps a core busy.
+/// Limits simultaneous tables of the process: each keeps a core busy, then room on the disk until it is sent.
 static CONVERSIONS: Semaphore = Semaphore::const_new(2);
 
 /// Bytes per read.
@@ -92,7 +92,7 @@ pub(super) struct RecordingParameters {
         (status = 400, body = Problem), (status = 404, body = Problem),
         (status = 409, description = "The recording contains no such data, or is damaged", body = Problem),
         (status = 413, description = "The table would be too large", body = Problem),
-        (status = 503, description = "Two conversions are already in progress", body = Problem)))]
+        (status = 503, description = "Two conversions are already in progress, or the disk has no room for one", body = Problem)))]
 pub(super) async fn one(
     State(app): State<Arc<App>>,
     PathName(name): PathName,
@@ -117,12 +117,15 @@ pub(super) async fn one(
         Format::Npz => (BYTES, "npz", Some(RecordingTable::Arrays)),
     };
     let is_stored_file = table.is_none();
-    let (file, damaged_records) = match table {
+    let (file, damaged_records, permit) = match table {
         None => {
             let opened = blocking(move || File::open(path)).await;
-            (opened.map_err(|e| unreadable(&e))?, 0)
+            (opened.map_err(|e| unreadable(&e))?, 0, None)
         }
-        Some(which) => converted(path, which).await?,
+        Some(which) => {
+            let (file, damaged_records, permit) = converted(path, which).await?;
+            (file, damaged_records, Some(permit))
+        }
     };
     let metadata = file.metadata().map_err(|e| unreadable(&e))?;
     let mut headers = HeaderMap::new();
@@ -159,7 +162,7 @@ pub(super) async fn one(
         }
     };
     headers.insert(CONTENT_LENGTH, length.into());
-    Ok((status, headers, streamed(file, from, length)).into_response())
+    Ok((status, headers, streamed(file, from, length, permit)).into_response())
 }
 
 /// Returns an ETag from time of change and length: the file of an active recording grows.
@@ -218,10 +221,17 @@ async fn blocking<T: Send + 'static>(
     done.unwrap_or_else(|panicked| Err(panicked.into()))
 }
 
-/// Returns `length` bytes of a file from offset `from` as a body, read as the socket accepts them; the file may grow meanwhile.
-fn streamed(mut file: File, from: u64, length: u64) -> Body {
+/// Returns `length` bytes of a file from offset `from` as a body, read as the socket accepts them; the file may grow meanwhile. The permit
+/// is held as long as the file.
+fn streamed(
+    mut file: File,
+    from: u64,
+    length: u64,
+    permit: Option<SemaphorePermit<'static>>,
+) -> Body {
     let (chunks, receiver) = mpsc::channel::<io::Result<Bytes>>(CHUNKS);
     tokio::spawn(async move {
+        let _permit = permit;
         let sought = blocking(move || {
             file.seek(SeekFrom::Start(from))?;
             Ok(file)
@@ -263,23 +273,26 @@ impl Drop for StopOnDrop {
     }
 }
 
-/// Converts a recording to a table, in a temporary file; returns it with the number of damaged records that it lacks.
-async fn converted(path: PathBuf, which: RecordingTable) -> Result<(File, u32), ErrorResponse> {
+/// Table in a temporary file, the number of damaged records that it lacks, and the permit for it.
+type Converted = (File, u32, SemaphorePermit<'static>);
+
+/// Converts a recording to a table.
+async fn converted(path: PathBuf, which: RecordingTable) -> Result<Converted, ErrorResponse> {
     let permit = CONVERSIONS.try_acquire().map_err(|_| {
         ErrorResponse::new(
             StatusCode::SERVICE_UNAVAILABLE,
             "conversions",
-            "two recordings are being converted already: try again in a minute, or download the MCAP file",
+            "two recordings are being converted or sent already: try again in a minute, or download the MCAP file",
         )
     })?;
     let stop = Arc::new(AtomicBool::new(false));
     let _stop_on_drop = StopOnDrop(Arc::clone(&stop));
     let converting = tokio::task::spawn_blocking(move || {
-        let _permit = permit;
-        table(&path, which, &stop)
+        // Dropped with the table if the request was dropped meanwhile.
+        table(&path, which, &stop).map(|(file, losses)| (file, losses.damaged, permit))
     });
     match converting.await {
-        Ok(Ok((file, losses))) => Ok((file, losses.damaged)),
+        Ok(Ok(converted)) => Ok(converted),
         Ok(Err(error)) => Err(conversion_error(&error)),
         Err(panicked) => Err(unreadable(&panicked.into())),
     }
@@ -297,7 +310,27 @@ fn conversion_error(error: &RecordingExportError) -> ErrorResponse {
             return ErrorResponse::new(StatusCode::CONFLICT, "damaged", text);
         }
         RecordingExportError::Write(why) => return unreadable(why),
+        RecordingExportError::NoRoom => (StatusCode::SERVICE_UNAVAILABLE, "no-room"),
         RecordingExportError::Stopped => (StatusCode::REQUEST_TIMEOUT, "time-out"),
     };
     ErrorResponse::new(status, code, error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_table_holds_its_permit_until_it_is_sent_or_given_up() {
+        static ONE: Semaphore = Semaphore::const_new(1);
+        // More than waits for a socket.
+        let length = (2 * CHUNKS * CHUNK) as u64;
+        let file = tempfile::tempfile().unwrap();
+        file.set_len(length).unwrap();
+        let body = streamed(file, 0, length, ONE.try_acquire().ok());
+        tokio::task::yield_now().await;
+        assert_eq!(ONE.available_permits(), 0);
+        drop(body);
+        let _permit = ONE.acquire().await.unwrap();
+    }
 }

@@ -24,4 +24,4 @@ pub use session::{
 };
 pub use shared::{RecordingOptions, RecordingSink, RecordingStatus};
 pub use under_way::RecordingLimit;
-pub use writer::FreeBytes;
+pub use writer::{FreeBytes, MIN_FREE_BYTES};

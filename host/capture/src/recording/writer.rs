@@ -20,8 +20,8 @@ const MAX_WAITING: usize = 16 << 20;
 /// Time limit for a chunk to be written.
 const WRITTEN_TIMEOUT: Duration = Duration::from_secs(60);
 
-/// Least free room, in bytes, on the disk of a recording without a limit of its own.
-const MIN_FREE_BYTES: u64 = 500_000_000;
+/// Least free room, in bytes, on the disk of a recording without a limit of its own, and of an export.
+pub const MIN_FREE_BYTES: u64 = 500_000_000;
 
 /// Bytes written between two looks at the free room.
 const ROOM_CHECK_BYTES: usize = 4 << 20;

@@ -10,6 +10,9 @@ use ihd_capture::exports::recording::{
     ExportLimits, RecordingExportError, half_cycles_csv, recording_npz, samples_csv,
 };
 use ihd_capture::mcap::FileLosses;
+use ihd_capture::recording::MIN_FREE_BYTES;
+
+use super::files::free_bytes;
 
 /// Largest table, in bytes: half an hour of a heating hob.
 const MAX_BYTES: u64 = 2_000_000_000;
@@ -37,7 +40,7 @@ pub enum RecordingTable {
 /// Blocks and uses one core for up to minutes. Ends early once `stop` is `true`.
 ///
 /// # Errors
-/// [`RecordingExportError`], among them the limits of size and time.
+/// [`RecordingExportError`], among them the limits of size, room and time.
 pub fn table(
     recording: &Path,
     which: RecordingTable,
@@ -46,7 +49,7 @@ pub fn table(
     let folder = recording.parent().unwrap_or(Path::new("."));
     let spool = || tempfile::tempfile_in(folder);
     let limits = ExportLimits {
-        bytes: MAX_BYTES,
+        bytes: limit_bytes(free_bytes(folder)).ok_or(RecordingExportError::NoRoom)?,
         until: Instant::now() + EXPORT_TIMEOUT,
         stop,
     };
@@ -60,4 +63,25 @@ pub fn table(
     };
     file.rewind()?;
     Ok((file, losses))
+}
+
+/// Returns the size limit of a table on a disk with this many free bytes, if they are known; `None` if there is no room for one.
+fn limit_bytes(free: Option<u64>) -> Option<u64> {
+    let room = free.map_or(MAX_BYTES, |free| free.saturating_sub(MIN_FREE_BYTES));
+    (room > 0).then_some(room.min(MAX_BYTES))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_leaves_the_room_that_recordings_leave() {
+        assert_eq!(limit_bytes(None), Some(MAX_BYTES));
+        assert_eq!(limit_bytes(Some(u64::MAX)), Some(MAX_BYTES));
+        assert_eq!(limit_bytes(Some(MIN_FREE_BYTES + 7)), Some(7));
+        for free in [MIN_FREE_BYTES, 0] {
+            assert_eq!(limit_bytes(Some(free)), None);
+        }
+    }
 }

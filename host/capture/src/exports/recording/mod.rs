@@ -15,6 +15,7 @@ use crate::mcap::cdr::{SamplesMessage, read_samples};
 use crate::mcap::reader::{McapItem, McapMessage};
 use crate::mcap::topics::{FaultNote, META_FREE, Telemetry, Topic, WholeWindow, WindowNote};
 use crate::mcap::{FileLosses, McapFileError, McapReader};
+use crate::recording::MIN_FREE_BYTES;
 
 pub use csv::{half_cycles_csv, samples_csv};
 pub use npz::recording_npz;
@@ -61,6 +62,9 @@ pub enum RecordingExportError {
         /// The limit in bytes.
         bytes: u64,
     },
+    /// The disk has less than [`MIN_FREE_BYTES`] free.
+    #[error("less than {} MB are free on its disk: free some, or download the MCAP file", MIN_FREE_BYTES / 1_000_000)]
+    NoRoom,
     /// The export missed its deadline.
     #[error(
         "it takes too long here: download the MCAP file, of which `ihd convert` writes the samples"
