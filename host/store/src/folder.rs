@@ -108,14 +108,14 @@ fn names(folder: &Path) -> Result<Vec<String>, StoreError> {
     Ok(names)
 }
 
-/// Returns `true` if a database of windows gives room back to the disk when its windows are thinned. Those of an earlier ihd do not, nor
-/// those that were set aside.
-pub fn has_incremental_vacuum(path: &Path) -> bool {
+/// Returns `true` if a database of windows gives no room back to the disk when its windows are thinned: one of an earlier ihd, or one that
+/// was set aside. One that cannot be read may be any.
+pub fn cannot_shrink(path: &Path) -> bool {
     // The header's field "incremental vacuum mode": https://sqlite.org/fileformat2.html
     let mut header = [0; 68];
     let read = File::open(path).and_then(|mut file| file.read_exact(&mut header));
     let is_set_aside = path.extension().is_none_or(|ending| ending != "db");
-    !is_set_aside && read.is_ok() && header[64..68] != [0; 4]
+    is_set_aside || (read.is_ok() && header[64..68] == [0; 4])
 }
 
 /// Returns the bytes of a database with SQLite's log beside it; 0 if it does not exist.
@@ -271,5 +271,29 @@ fn in_use(folder: &Path, file: &mut File) -> StoreError {
     StoreError::InUse {
         folder: folder.to_owned(),
         holder: process.map_or(String::new(), |p| format!(" (process {p})")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_day_whose_header_cannot_be_read_may_shrink() {
+        let folder = tempfile::tempdir().unwrap();
+        let day = of_day(folder.path(), "2026-11-22");
+        assert!(!cannot_shrink(&day), "it is not there");
+        let mut header = [0; 100];
+        fs::write(&day, header).unwrap();
+        assert!(cannot_shrink(&day));
+        header[67] = 1;
+        fs::write(&day, header).unwrap();
+        assert!(!cannot_shrink(&day));
+        // Opened, and not read.
+        let unreadable = of_day(folder.path(), "2026-11-21");
+        fs::create_dir(&unreadable).unwrap();
+        assert!(!cannot_shrink(&unreadable));
+        let set_aside = beside(&unreadable, ".damaged-20261122T000000Z");
+        assert!(cannot_shrink(&set_aside));
     }
 }

@@ -35,7 +35,7 @@ impl Store {
                 looked_at += A_BATCH;
                 continue;
             }
-            if self.delete_oldest(|path| !folder::has_incremental_vacuum(path))? {
+            if self.delete_oldest(folder::cannot_shrink)? {
                 continue;
             }
             looked_at += match self.thin_older()? {
