@@ -193,7 +193,7 @@ impl<'a> DeviceSession<'a> {
         }
         self.record.pot_tracker().begin_boot(boot);
         self.end_previous_power(&status).await?;
-        self.begin_stored_session().await;
+        self.begin_stored_session().await?;
         self.record.enter(DeviceState::Connected, "");
         self.lookups
             .reconcile(&mut self.link, status.lookup_version)

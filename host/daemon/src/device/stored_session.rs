@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ihd_link::Client;
+use ihd_link::{Client, LinkError};
 use ihd_store::{DeviceId, Store, StoreError};
 
 use super::session::{DeviceSession, SessionEnd, StoredIds};
@@ -11,11 +11,14 @@ use crate::store_thread::StoreAccess;
 
 impl DeviceSession<'_> {
     /// Begins the session in the store. If that fails, nothing is stored until [`DeviceSession::retry_store`] succeeds.
-    pub(super) async fn begin_stored_session(&mut self) {
+    ///
+    /// # Errors
+    /// Error of the link.
+    pub(super) async fn begin_stored_session(&mut self) -> Result<(), LinkError> {
         let (name, address) = (self.record.name.clone(), self.record.address.clone());
         let hello = self.link.client.hello().clone();
         let front_end = self.link.client.front_end().clone();
-        let chip = self.chip().await;
+        let chip = self.chip().await?;
         let learner = Arc::clone(&self.context.learner);
         let is_resumed = self.record.lock().is_resumed;
         let began = self.store_wait.run(move |store| {
@@ -51,6 +54,7 @@ impl DeviceSession<'_> {
                 self.store_event("learned", &format!("the pots' alloys: {error}"));
             }
         }
+        Ok(())
     }
 
     /// Stores an event of the device, also while the store has no session of it.
@@ -59,9 +63,15 @@ impl DeviceSession<'_> {
     }
 
     /// Returns the number of the device's chip; `None` if it has none, or does not tell it.
-    async fn chip(&mut self) -> Option<String> {
-        let facts = self.link.request(Client::board).await.ok()?;
-        Some(facts.chip_number()).filter(|number| !number.is_empty())
+    ///
+    /// # Errors
+    /// Error of the link: another board may have come under the name.
+    async fn chip(&mut self) -> Result<Option<String>, LinkError> {
+        match self.link.request(Client::board).await {
+            Ok(facts) => Ok(Some(facts.chip_number()).filter(|number| !number.is_empty())),
+            Err(LinkError::Refused { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 
     /// Returns access to the store in this device's lane.
@@ -72,7 +82,11 @@ impl DeviceSession<'_> {
     /// Retries what the store failed to do.
     pub(super) async fn retry_store(&mut self) -> Result<(), SessionEnd> {
         if self.stored.is_none() {
-            self.begin_stored_session().await;
+            match self.begin_stored_session().await {
+                // By an `off`; the next retry.
+                Err(LinkError::Preempted { .. }) => return Ok(()),
+                began => began.map_err(|error| SessionEnd::Link(error.to_string()))?,
+            }
             if self.stored.is_some() {
                 self.lookups.require_reconciliation();
             }
