@@ -125,6 +125,13 @@ impl Store {
         stored.map_err(self.failed("storing an event"))
     }
 
+    /// Stores an event of the store itself; a failure is only logged, because what it reports is done.
+    pub(crate) fn notice(&mut self, kind: &str, text: &str) {
+        if let Err(error) = self.event(None, kind, text) {
+            tracing::warn!(%error, text, "a notice is not stored");
+        }
+    }
+
     /// Stores a command with its outcome and time, in milliseconds since 1970, UTC.
     ///
     /// # Errors

@@ -98,7 +98,7 @@ impl Store {
         (collected.deleted, collected.bytes) = (paths, bytes);
         collected.thinned = self.figures().thinned - thinned;
         collected.bytes_left = self.other_days_bytes + folder::size(&self.path_of_today());
-        self.report_thinned_lost_to_fleet()?;
+        self.report_thinned_lost_to_fleet();
         Ok(collected)
     }
 
@@ -175,10 +175,14 @@ impl Store {
     }
 
     fn delete_day(&mut self, day: &str, path: &PathBuf) -> Result<u64, StoreError> {
-        self.report_day_lost_to_fleet(day)?;
+        // A damaged day counts as 0.
+        let lost = self.count_due_of(day).unwrap_or(0);
         self.days.close(path);
         self.tallies.remove(day);
         let freed = folder::delete(path)?;
+        if lost > 0 {
+            self.report_lost(day, lost);
+        }
         self.other_days_bytes = self.other_days_bytes.saturating_sub(freed);
         if !folder::of_day(self.folder(), day).exists() {
             self.forget_age_of(day)?;
@@ -187,29 +191,20 @@ impl Store {
         Ok(freed)
     }
 
-    /// Reports the windows of a day that is deleted before the fleet has all of it.
-    fn report_day_lost_to_fleet(&mut self, day: &str) -> Result<(), StoreError> {
-        // A damaged day counts as 0.
-        match self.count_due_of(day).unwrap_or(0) {
-            0 => Ok(()),
-            lost => self.report_lost(day, lost),
-        }
-    }
-
     /// Reports, for each day, the windows whose samples were deleted before the fleet had answered.
-    fn report_thinned_lost_to_fleet(&mut self) -> Result<(), StoreError> {
+    fn report_thinned_lost_to_fleet(&mut self) {
         for (day, lost) in std::mem::take(&mut self.lost_to_fleet) {
-            self.report_lost(&day, lost)?;
+            self.report_lost(&day, lost);
         }
-        Ok(())
     }
 
-    fn report_lost(&mut self, day: &str, lost: u64) -> Result<(), StoreError> {
+    /// Reports windows of a day that were deleted before the fleet had all of them.
+    fn report_lost(&mut self, day: &str, lost: u64) {
         let text = format!(
             "{lost} windows of {day} that the fleet had not answered are deleted: retention"
         );
         tracing::warn!("{text}");
-        self.event(None, "store", &text)
+        self.notice("store", &text);
     }
 
     /// Returns the files of all days but today's, and damaged ones, oldest first, each with its day.

@@ -429,7 +429,7 @@ impl Store {
                 "today's windows take all of the {max} bytes that windows may: their samples are not kept"
             );
             tracing::warn!("{text}");
-            self.event(None, "store", &text)?;
+            self.notice("store", &text);
             self.reported_too_large = today;
         }
         Ok(Some(SampleDropReason::Size))
@@ -510,7 +510,8 @@ impl Store {
         }
         let damage = folder::set_aside(file, error.to_string(), self.now())?;
         tracing::error!("{}", start::describe(&damage));
-        self.event(None, "damage", &start::describe(&damage))
+        self.notice("damage", &start::describe(&damage));
+        Ok(())
     }
 
     /// Deletes a window's samples if they are stored. A failure is only logged: a collection does
