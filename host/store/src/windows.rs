@@ -271,11 +271,17 @@ impl Day {
         unpacked.map(Some)
     }
 
-    /// Returns device, boot and number of every window with samples.
+    /// Returns device, boot and number of every window with samples, in the order in which they came.
     pub(crate) fn keys(&self) -> Result<Vec<(String, u32, u32)>, StoreError> {
-        let rows = self.rows(&WindowFilter::default())?;
-        let stored = rows.into_iter().filter(|row| row.not_kept.is_none());
-        Ok(stored.map(|row| (row.device, row.boot, row.seq)).collect())
+        let read = || {
+            let mut statement = self.connection.prepare(
+                "SELECT device, boot, seq FROM windows INDEXED BY windows_with_samples
+                 WHERE not_kept IS NULL ORDER BY id",
+            )?;
+            let rows = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
+            rows.collect::<rusqlite::Result<_>>()
+        };
+        read().map_err(self.failed("listing windows"))
     }
 
     pub(crate) fn path(&self) -> &Path {
