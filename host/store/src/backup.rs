@@ -9,6 +9,7 @@ use rusqlite::backup::{Backup, StepResult};
 
 use super::folder::{self, RECORDS, beside};
 use super::schema;
+use super::windows::Day;
 use super::{StoreError, database};
 
 /// Copies a store to a new folder by SQLite's online backup; other processes may write meanwhile. Results are copied first, so that the
@@ -112,13 +113,10 @@ pub(crate) fn remove_leftovers(backups: &Path) {
 fn into_folder(from: &Path, to: &Path) -> Result<(), StoreError> {
     let source = database::open_to_read(&from.join(RECORDS), &schema::RECORDS)?;
     copy(&source, &to.join(RECORDS))?;
-    for day in folder::days(from)? {
-        let source = match database::open_to_read(&day.path, &schema::WINDOWS) {
-            // Deleted since the folder was read.
-            Err(_) if !day.path.exists() => continue,
-            opened => opened?,
-        };
-        copy(&source, &folder::of_day(to, &day.day))?;
+    for file in folder::days(from)? {
+        if let Some(Day { file, connection }) = Day::open_to_read(file)? {
+            copy(&connection, &folder::of_day(to, &file.day))?;
+        }
     }
     ihd_signal::atomic::synchronise_folder(to).map_err(StoreError::files(to, "synchronising"))
 }

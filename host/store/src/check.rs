@@ -4,7 +4,6 @@ use serde::Serialize;
 
 use super::database::{self, IntegrityCheck};
 use super::folder;
-use super::schema::WINDOWS;
 use super::windows::Day;
 use super::{LookupState, StoreError, StoreReader, WindowFilter};
 
@@ -74,12 +73,8 @@ impl StoreReader {
         }
         let (mut windows, mut with_samples) = (0, 0);
         for file in folder::days(self.folder())? {
-            let opened = match database::open_to_read(&file.path, &WINDOWS) {
-                // Deleted meanwhile.
-                Err(_) if !file.path.exists() => continue,
-                opened => opened.map(|connection| Day { file, connection }),
-            };
-            let Some(day) = or_wrong(&mut wrong, opened)? else {
+            let opened = or_wrong(&mut wrong, Day::open_to_read(file))?;
+            let Some(day) = opened.flatten() else {
                 continue;
             };
             note(

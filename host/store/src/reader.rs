@@ -309,7 +309,9 @@ impl StoreReader {
             if left == 0 {
                 break;
             }
-            rows.extend(Day::open_to_read(file)?.last_rows(device, left, whole)?);
+            if let Some(day) = Day::open_to_read(file)? {
+                rows.extend(day.last_rows(device, left, whole)?);
+            }
         }
         Ok(rows)
     }
@@ -325,7 +327,9 @@ impl StoreReader {
         seq: u32,
     ) -> Result<Option<(WindowRow, Window, Curves)>, StoreError> {
         for file in folder::days(&self.folder)?.into_iter().rev() {
-            let day = Day::open_to_read(file)?;
+            let Some(day) = Day::open_to_read(file)? else {
+                continue;
+            };
             let Some(window) = day.window(device, boot, seq)? else {
                 continue;
             };
@@ -354,7 +358,9 @@ impl StoreReader {
         let [first, last] = [from_ms, to_ms].map(|at_ms| super::clock::day(at_ms.max(0)));
         let days = folder::days(&self.folder)?.into_iter();
         let selected = days.filter(|file| file.day >= first && file.day <= last);
-        selected.map(Day::open_to_read).collect()
+        selected
+            .filter_map(|file| Day::open_to_read(file).transpose())
+            .collect()
     }
 
     /// Opens the days with windows of that time or later, oldest first.
@@ -364,7 +370,9 @@ impl StoreReader {
         let selected = days
             .into_iter()
             .filter(|file| first.as_ref().is_none_or(|first| file.day >= *first));
-        selected.map(Day::open_to_read).collect()
+        selected
+            .filter_map(|file| Day::open_to_read(file).transpose())
+            .collect()
     }
 }
 

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-use super::schema::WINDOWS;
-use super::{StoreError, StoreReader, database, folder};
+use super::windows::Day;
+use super::{StoreError, StoreReader, folder};
 
 /// Disk space of a day's windows.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -31,9 +31,11 @@ impl StoreReader {
     pub fn space(&self) -> Result<Vec<DaySpace>, StoreError> {
         let mut days = Vec::new();
         for file in folder::days(self.folder())? {
-            let connection = match database::open_to_read(&file.path, &WINDOWS) {
-                Err(error) if error.is_damage() || !file.path.exists() => continue,
-                opened => opened?,
+            let Day { file, connection } = match Day::open_to_read(file) {
+                Ok(Some(day)) => day,
+                Ok(None) => continue,
+                Err(error) if error.is_damage() => continue,
+                Err(error) => return Err(error),
             };
             let count = |which: &str| -> Result<u64, StoreError> {
                 let sql = format!("SELECT count(*) FROM windows {which}");

@@ -129,10 +129,12 @@ impl Day {
         Ok(Self { file, connection })
     }
 
-    /// Opens a day for reading.
-    pub(crate) fn open_to_read(file: DayFile) -> Result<Self, StoreError> {
-        let connection = database::open_to_read(&file.path, &WINDOWS)?;
-        Ok(Self { file, connection })
+    /// Opens a day for reading; `None` if it was deleted since the folder was read.
+    pub(crate) fn open_to_read(file: DayFile) -> Result<Option<Self>, StoreError> {
+        match database::open_to_read(&file.path, &WINDOWS) {
+            Err(_) if !file.path.exists() => Ok(None),
+            opened => opened.map(|connection| Some(Self { file, connection })),
+        }
     }
 
     fn failed(&self, doing: &'static str) -> impl FnOnce(rusqlite::Error) -> StoreError {
@@ -273,13 +275,14 @@ impl Day {
 
     /// Returns device, boot and number of every window with samples, in the order in which they came.
     pub(crate) fn keys(&self) -> Result<Vec<(String, u32, u32)>, StoreError> {
-        let read = || {
+        let read = || -> rusqlite::Result<Vec<_>> {
             let mut statement = self.connection.prepare(
                 "SELECT device, boot, seq FROM windows INDEXED BY windows_with_samples
                  WHERE not_kept IS NULL ORDER BY id",
             )?;
-            let rows = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?;
-            rows.collect::<rusqlite::Result<_>>()
+            statement
+                .query_map([], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))?
+                .collect()
         };
         read().map_err(self.failed("listing windows"))
     }

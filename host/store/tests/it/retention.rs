@@ -287,3 +287,20 @@ fn damaged_days_count_and_go_too() {
     assert!(!damaged.exists());
     assert_eq!(days(folder.path()), ["windows-2026-11-22.db"]);
 }
+
+/// A link to nothing stands for a day that is deleted between the listing of the folder and its opening.
+#[cfg(unix)]
+#[test]
+fn a_day_that_is_deleted_while_it_is_read_is_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_store, _) = filled(folder.path(), &keeping(SamplePolicy::All, 1 << 30, None), 2);
+    let deleted = folder.path().join("windows-2026-11-20.db");
+    std::os::unix::fs::symlink(folder.path().join("nothing"), deleted).unwrap();
+    assert_eq!(whole(folder.path()), [0, 1, 2, 10, 11, 12]);
+    let reader = StoreReader::open(folder.path()).unwrap();
+    assert_eq!(reader.last_windows("bench", 100, true).unwrap().len(), 6);
+    assert_eq!(reader.window("bench", 7, 99).unwrap(), None);
+    assert!(reader.whole_window("bench", 7, 99).unwrap().is_none());
+    assert_eq!(reader.space().unwrap().len(), 2);
+    assert!(reader.check().unwrap().is_whole());
+}
