@@ -128,7 +128,7 @@ fn stored_lookup(row: LookupRow) -> StoredLookup {
 /// Executes a command. All but `off` and recordings require the lease.
 #[utoipa::path(post, path = "/devices/{name}/commands", tag = "devices",
     params(("name" = String, Path, description = "Name of the device"),
-        ("ihd-holder" = String, Header, description = "Name of the client")),
+        ("ihd-holder" = String, Header, description = "Name of the client; `off` is done without one")),
     request_body = Command,
     responses((status = 200, body = CommandReply), (status = 404, body = Problem),
         (status = 409, description = "The device refused", body = Problem),
@@ -137,9 +137,14 @@ fn stored_lookup(row: LookupRow) -> StoredLookup {
 pub(super) async fn command(
     State(app): State<Arc<App>>,
     PathName(name): PathName,
-    Holder(holder): Holder,
+    holder: Result<Holder, ErrorResponse>,
     JsonBody(command): JsonBody<Command>,
 ) -> Result<Json<CommandReply>, ErrorResponse> {
+    let holder = match holder {
+        // The daemon has a name for nobody.
+        Err(_) if command == Command::Off => String::new(),
+        named => named?.0,
+    };
     Ok(Json(app.daemon.command(&name, &holder, command).await?))
 }
 

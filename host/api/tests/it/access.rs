@@ -125,10 +125,21 @@ fn a_form_cannot_command() {
         assert_eq!(ask(server.address, COMMANDS, &[&kind, ME], OFF).0, 415);
     }
     assert_eq!(ask(server.address, COMMANDS, &[ME], OFF).0, 415);
-    let (status, body) = ask(server.address, COMMANDS, &[JSON], OFF);
+    let clear = r#"{"command":"clear-fault"}"#;
+    let (status, body) = ask(server.address, COMMANDS, &[JSON], clear);
     assert_eq!(status, 400, "{body}");
     assert!(body.contains("ihd-holder"), "{body}");
     assert_eq!(server.commands(), []);
+}
+
+#[test]
+fn off_needs_no_name() {
+    let mut server = Running::with_hobs(|_, _| {});
+    for holder in ["X: y", "ihd-holder:", "ihd-holder: \u{e4}"] {
+        let (status, body) = ask(server.address, COMMANDS, &[JSON, holder], OFF);
+        assert_eq!(status, 200, "{holder}: {body}");
+    }
+    assert_eq!(server.commands().len(), 3);
 }
 
 #[test]
