@@ -165,7 +165,7 @@ impl Commander {
     /// heating of the other ends.
     ///
     /// # Errors
-    /// [`CommandError::Leased`] if another holder has it.
+    /// [`CommandError::Leased`] if another holder has it; [`CommandError::Failed`] if the device does not confirm that it is off.
     pub async fn take_lease(
         &self,
         device: &str,
@@ -184,7 +184,7 @@ impl Commander {
             let command = "take-lease --force".to_owned();
             let auditor = &self.auditor;
             auditor.record(record, holder.clone(), command, why.clone());
-            self.end_heating(&handle, why).await;
+            self.end_heating(&handle, why).await?;
         }
         let now = Instant::now();
         let lease = record.lock().lease.current(now);
@@ -220,7 +220,7 @@ impl Commander {
     /// Releases the lease and switches off its power.
     ///
     /// # Errors
-    /// [`CommandError::Leased`] if another holder has it.
+    /// [`CommandError::Leased`] if another holder has it; [`CommandError::Failed`] if the device does not confirm that it is off.
     pub async fn release_lease(&self, device: &str, holder: &str) -> Result<(), CommandError> {
         let handle = self.handle(device)?;
         let holder = holder_name(holder);
@@ -236,26 +236,40 @@ impl Commander {
         if released {
             self.publish_lease(record, "", "");
             self.end_heating(&handle, format!("{holder} has given the lease back"))
-                .await;
+                .await?;
         }
         Ok(())
     }
 
     /// Switches off the power of a lease that has ended.
-    async fn end_heating(&self, handle: &Handle, why: String) {
+    ///
+    /// # Errors
+    /// [`CommandError::Failed`] if the device does not confirm it; the device's task tries again.
+    async fn end_heating(&self, handle: &Handle, why: String) -> Result<(), CommandError> {
         let record = &handle.record;
         let client = {
             let inner = record.lock();
             let must_switch_off = inner.lease.must_switch_off(Instant::now());
             inner.client.clone().filter(|_| must_switch_off)
         };
-        let Some(client) = client else { return };
+        let Some(client) = client else {
+            return Ok(());
+        };
         tracing::info!(device = record.name, why, "off");
         record.store_event(self.store.access(), "off", &why);
         let off = tokio::time::timeout(COMMAND_TIMEOUT, switch_off(record, &client));
-        if !matches!(off.await, Ok(Ok(()))) {
-            tracing::warn!(device = record.name, "was not switched off in time");
-        }
+        let error = match off.await {
+            Ok(Ok(())) => return Ok(()),
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => format!("nothing came within {} s", COMMAND_TIMEOUT.as_secs()),
+        };
+        let name = &record.name;
+        tracing::warn!(device = name, error, "was not switched off in time");
+        Err(CommandError::Failed {
+            why: printable(&format!(
+                "{name}: {why}, and it is not confirmed that the hob is off: {error}"
+            )),
+        })
     }
 }
 

@@ -186,7 +186,7 @@ impl Daemon {
     /// heating of the other ends.
     ///
     /// # Errors
-    /// [`CommandError::Leased`] if another holder has it.
+    /// [`CommandError::Leased`] if another holder has it; [`CommandError::Failed`] if the device does not confirm that it is off.
     pub async fn take_lease(
         &self,
         device: &str,
@@ -203,7 +203,7 @@ impl Daemon {
     /// Releases the lease and switches off its power.
     ///
     /// # Errors
-    /// [`CommandError::Leased`] if another holder has it.
+    /// [`CommandError::Leased`] if another holder has it; [`CommandError::Failed`] if the device does not confirm that it is off.
     pub async fn release_lease(&self, device: &str, holder: &str) -> Result<(), CommandError> {
         let (device, holder) = (device.to_owned(), holder.to_owned());
         self.to_its_end(|commander| async move { commander.release_lease(&device, &holder).await })

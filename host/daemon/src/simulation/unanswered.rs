@@ -1,4 +1,4 @@
-//! Request of power whose answer is lost, and that of its off.
+//! Requests whose answers are lost.
 
 use std::time::Duration;
 
@@ -30,5 +30,20 @@ fn power_without_an_answer_ends_even_if_its_off_has_none() {
         sleep(Duration::from_secs(1)).await;
         assert!(daemon.view().device(name).unwrap().lease.is_some());
         assert_eq!(asked_w(world), 0);
+    });
+}
+
+#[test]
+fn who_gives_the_lease_back_is_told_that_the_off_has_no_answer() {
+    with_daemon(async |world, daemon| {
+        let name = HOBS[0];
+        daemon.take_lease(name, "ada", false).await.unwrap();
+        let heat = Command::Power { power_w: POWER_W };
+        daemon.command(name, "ada", heat).await.expect("it heats");
+        world.lock().sockets[0].is_mute = true;
+        let released = daemon.release_lease(name, "ada").await;
+        let why = released.unwrap_err().to_string();
+        assert!(why.contains("not confirmed"), "{why}");
+        assert!(daemon.view().device(name).unwrap().lease.is_none());
     });
 }
