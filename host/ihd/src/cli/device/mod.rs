@@ -197,14 +197,13 @@ impl Action {
 /// Carries out a command and prints the reply. A lease that was taken by force is given back, whatever the command came to.
 fn once(hob: &mut Hob, command: &Command, forces: bool, json: bool) -> Result<()> {
     let done = hob.command(command);
-    if forces {
-        hob.release_lease()?;
-    }
+    let given_back = if forces { hob.release_lease() } else { Ok(()) };
     let done = done?;
-    if json {
-        return output::json(&done);
-    }
-    say!("{}: {}", hob.name(), done.text)
+    match json {
+        true => output::json(&done),
+        false => say!("{}: {}", hob.name(), done.text),
+    }?;
+    given_back
 }
 
 /// Prints a line for each event of a device until Ctrl-C.

@@ -77,7 +77,7 @@ fn without_a_terminal_a_device_or_a_daemon_it_says_what_to_do() {
     let screen = watch(&kitchen, &["nobody"]);
     let text = screen.until("it says so", |text| text.contains("nobody"));
     assert!(text.contains("ihd device status"), "{text}");
-    assert_eq!(screen.ended(), 1);
+    assert_eq!(screen.ended(), 2);
 
     let other = kitchen.dir.path().join("other.toml");
     std::fs::write(&other, format!("listen = \"{}\"\n", free_address())).unwrap();
