@@ -108,7 +108,7 @@ pub struct PinnConfig {
     /// by Adam, and `harmonics`, `physics_harmonics`, `impedance_order`, `most_points`, `spline_intervals`,
     /// `weight_width`, `correction`, `noise` and `outer_passes` have no effect.
     pub vi_mlp: Option<ViMlp>,
-    /// Number of trainings from successive seeds, 1..=64; the best is the result, the spread its
+    /// Number of trainings from successive seeds, 1..=64; the best is the result, the spread is added to its
     /// uncertainty.
     pub ensemble: usize,
     /// Ignores the wall-clock limit, the only thing that makes two runs differ.

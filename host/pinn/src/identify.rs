@@ -88,7 +88,8 @@ impl IdentifyTask<'_> {
     }
 }
 
-/// Member with the least loss; its uncertainty is the members' spread.
+/// Member with the least loss. The members' spread is added to its uncertainty: all of them fit the same noise, which the spread
+/// therefore does not contain.
 fn best_of(mut members: Vec<Identification>) -> Identification {
     let spread = |of: fn(&Identification) -> &[f64]| {
         let values: Vec<&[f64]> = members.iter().map(of).collect();
@@ -101,9 +102,18 @@ fn best_of(mut members: Vec<Identification>) -> Identification {
     let mut best = members.swap_remove(0);
     best.elapsed_s = total_s;
     if let Some((r, l)) = sigmas {
-        (best.r_sigma_ohm, best.l_sigma_h) = (r, l);
+        best.r_sigma_ohm = with_spread(&best.r_sigma_ohm, r);
+        best.l_sigma_h = with_spread(&best.l_sigma_h, l);
     }
     best
+}
+
+/// Standard deviations of a member and of the spread together; the spread alone if the member has none.
+fn with_spread(own: &[f64], mut spread: Vec<f64>) -> Vec<f64> {
+    for (sigma, own) in spread.iter_mut().zip(own) {
+        *sigma = sigma.hypot(*own);
+    }
+    spread
 }
 
 /// R / r_scale and L / l_scale of the truth at the slow times, alternating.

@@ -91,13 +91,13 @@ pub struct Identification {
     pub r_ohm: Vec<f64>,
     /// L at those times, H.
     pub l_h: Vec<f64>,
-    /// Standard deviation of R at those times, ohm: Laplace's approximation, or the spread of an ensemble; empty if there is
-    /// neither. It contains noise, and the residual of the waveforms beyond noise.
+    /// Standard deviation of R at those times, ohm: Laplace's approximation, which contains noise and the residual of the waveforms
+    /// beyond noise, and the spread of an ensemble. A VI-MLP has the spread alone; empty if there is neither.
     pub r_sigma_ohm: Vec<f64>,
     /// Standard deviation of L at those times, H; empty if `r_sigma_ohm` is.
     pub l_sigma_h: Vec<f64>,
-    /// Residual χ² at the fundamental against white noise at those times, by which σ was raised; empty if
-    /// σ is.
+    /// Residual χ² at the fundamental against white noise at those times, by which σ of Laplace's approximation was raised; empty
+    /// without one.
     #[serde(default)]
     pub chi2: Vec<f64>,
     /// Order n of Z(s) = s L_0 + K s^n of the result: [`crate::PinnConfig::impedance_order`].

@@ -199,6 +199,36 @@ fn the_standard_deviations_are_those_of_the_errors() {
     );
 }
 
+/// Every member fits the same noise, so that their spread does not contain it: variances add.
+#[test]
+fn an_ensemble_adds_its_spread_to_the_standard_deviation_by_noise() {
+    let noisy = Hob::at(50e3, 50.0).record().with_noise(30.0, 1);
+    let trained = |seed, ensemble| {
+        let config = PinnConfig {
+            seed,
+            ensemble,
+            deterministic: true,
+            ..PinnConfig::default()
+        };
+        found(&noisy, &config)
+    };
+    let (a, b, both) = (trained(1, 1), trained(2, 1), trained(1, 2));
+    let best = if a.losses.total <= b.losses.total {
+        &a
+    } else {
+        &b
+    };
+    assert_eq!((&both.r_ohm, &both.chi2), (&best.r_ohm, &best.chi2));
+    let agree = |sigma: &[f64], own: &[f64], a: &[f64], b: &[f64]| {
+        for (k, sigma) in sigma.iter().enumerate() {
+            let spread = (a[k] - b[k]).abs() / std::f64::consts::SQRT_2;
+            assert!(own[k] > 0.0 && (sigma / own[k].hypot(spread) - 1.0).abs() < 1e-9);
+        }
+    };
+    agree(&both.r_sigma_ohm, &best.r_sigma_ohm, &a.r_ohm, &b.r_ohm);
+    agree(&both.l_sigma_h, &best.l_sigma_h, &a.l_h, &b.l_h);
+}
+
 #[test]
 fn the_loss_is_composed_as_in_eq_7_and_never_rises_within_a_pass() {
     let config = PinnConfig {
