@@ -21,7 +21,7 @@ pub struct LossTerms {
     pub l_i1: f64,
     /// Current misfit, eq. (6).
     pub l_i2: f64,
-    /// Eq. (7): `w_f l_f + w_i (l_i1 + l_i2)`.
+    /// Eq. (7): `w_f l_f + w_i (l_i1 + l_i2)` at the configured weights, whatever loss balancing made of them.
     pub total: f64,
 }
 

@@ -15,7 +15,7 @@ pub(crate) struct State {
     pub epoch: usize,
     pub theta: Vec<f64>,
     pub adam: Adam,
-    /// Parameters of the least loss so far, and that loss.
+    /// Parameters of the least loss since `w_f` changed last, and that loss.
     pub best: Vec<f64>,
     pub best_loss: f64,
     /// Factor on the learning rate: halved by every rollback.

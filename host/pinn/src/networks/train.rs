@@ -222,7 +222,7 @@ impl Training<'_> {
     }
 
     /// Moves w_f towards the ratio of the lengths of the data terms' gradient and the physics term's
-    /// (after Wang, Teng and Perdikaris 2021).
+    /// (after Wang, Teng and Perdikaris 2021). The least loss counts from there on.
     fn balance(&mut self) -> Result<(), PinnError> {
         let every = self.vi.balance_every;
         if every == 0 || self.state.epoch == 0 || !self.state.epoch.is_multiple_of(every) {
@@ -240,6 +240,8 @@ impl Training<'_> {
         let goal = data / physics;
         if goal.is_finite() {
             self.state.w_f += BALANCE_STEP * (goal - self.state.w_f);
+            // Losses of different weights do not compare.
+            self.state.best_loss = f64::INFINITY;
         }
         Ok(())
     }
@@ -277,7 +279,8 @@ impl Training<'_> {
         }
     }
 
-    /// Result of the training: the parameters of the least loss.
+    /// Result of the training: the parameters of the least loss. Its total is that of the configured weights, so that members of an
+    /// ensemble, each of which balances for itself, compare.
     fn finish(mut self, stopped: StopReason, log: Log<'_>) -> Result<Identification, PinnError> {
         self.state.theta = self.state.best.clone();
         let all = 0..self.problem.points.len();
@@ -288,7 +291,10 @@ impl Training<'_> {
             l_f: terms.l_f,
             l_i1: terms.l_i1,
             l_i2: terms.l_i2,
-            total: terms.total(self.weights()),
+            total: terms.total(Weights {
+                w_f: self.config.w_f as f32,
+                ..self.weights()
+            }),
         };
         let parameters = self.parameters(&self.state.theta);
         let signals = super::in_order(&self.problem.points.sample, &v, &i);

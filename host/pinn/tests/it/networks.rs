@@ -203,6 +203,23 @@ fn an_ensemble_gives_a_spread_and_loss_balancing_moves_the_weight() {
     assert_ne!(trained(&balanced).parameters, trained(&small()).parameters);
 }
 
+/// With hardly a physics term at first, balancing multiplies the loss: the parameters before it are none of a balanced training.
+#[test]
+fn the_best_parameters_are_those_since_the_weight_moved() {
+    let mut config = PinnConfig {
+        w_f: 1e-6,
+        ..small()
+    };
+    config.vi_mlp.as_mut().expect("has one").balance_every = 149;
+    let found = trained(&config);
+    let last = found.history[149];
+    assert!((found.losses.l_f / last.l_f - 1.0).abs() < 1e-4);
+    let l_i = found.losses.l_i1 + found.losses.l_i2;
+    assert!((l_i / last.l_i - 1.0).abs() < 1e-4);
+    // Members of an ensemble are compared at the configured weights, as the history is.
+    assert!((found.losses.total / last.loss - 1.0).abs() < 1e-4);
+}
+
 #[test]
 fn a_warm_start_goes_on_from_its_weights() {
     let cold = trained(&small());
