@@ -61,9 +61,6 @@ pub fn calibrate<'a>(
     Ok(calibrated)
 }
 
-/// Relative standard deviation of a capacitance that is known to a percent.
-const CAPACITANCE_SHARE: f64 = 5e-3;
-
 /// Corrects the ratio of the gains by the capacitance that the user gave; R and L depend on the ratio alone. Returns a warning,
 /// which replaces that of the self-calibration, or `None` if there is nothing to correct.
 pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
@@ -118,9 +115,8 @@ impl CorrectionUncertainty {
         let Some(Ok(sensors)) = &calibrated.sensors else {
             return None;
         };
-        let c = sensors.capacitance_f;
         let of_gain = match gain_corrected {
-            true => CAPACITANCE_SHARE.hypot(c.sigma / c.value),
+            true => sensors.gain_share(),
             false => 0.0,
         };
         let of_bend = calibrated.saturation.map_or(0.0, |s| s.left);

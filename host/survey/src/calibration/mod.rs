@@ -126,6 +126,9 @@ impl Calibration {
     /// Creates a calibration from a self-calibration, with any load.
     pub fn from_self_calibration(sensors: &SelfCalibration, survey: &Survey) -> Self {
         let alike = sensors.full_correction();
+        let gain_ratio = sensors
+            .known_capacitance_f
+            .map(|c_f| c_f / sensors.capacitance_f.value);
         let mut contradictions = Vec::new();
         if !sensors.is_sound() {
             let faults = sensors.remarks(false).into_iter();
@@ -138,13 +141,8 @@ impl Calibration {
                 _ => alike.skew_s,
             },
             skew_sigma_s: sensors.lag_s.sigma.hypot(sensors.loop_sigma_s()),
-            gain_ratio: sensors
-                .known_capacitance_f
-                .map_or(1.0, |c_f| c_f / sensors.capacitance_f.value),
-            gain_ratio_sigma: match sensors.known_capacitance_f {
-                Some(_) => sensors.capacitance_f.sigma / sensors.capacitance_f.value,
-                None => 0.0,
-            },
+            gain_ratio: gain_ratio.unwrap_or(1.0),
+            gain_ratio_sigma: gain_ratio.map_or(0.0, |ratio| ratio * sensors.gain_share()),
             v_offset_v: survey.voltage.mean,
             i_offset_a: survey.current.mean,
             response: Correction {

@@ -194,6 +194,37 @@ fn applied_it_takes_the_error_out_of_another_capture() {
     }
 }
 
+/// A capacitor of 1 % is known to 0.5 %, and the ratio of the gains with it. A capacitance of 1.25 times the true one makes the ratio
+/// 1.25: its deviation is the ratio's own, of which [`Calibration::apply`] states the share.
+#[test]
+fn the_gains_by_a_capacitor_are_no_more_certain_than_that_capacitor() {
+    let sensing = Sensing {
+        v_gain: 1.0,
+        i_gain: 1.0,
+        v_offset_v: 0.0,
+        i_offset_a: 0.0,
+        ..chain(Some(50.0))
+    };
+    let mut c = capture(&settings(
+        SimulatedPot::new(PotBase::Ferritic, 0.21),
+        sensing,
+        4,
+    ));
+    let survey = Survey::from_capture(&c, &Hints::default()).unwrap();
+    let alone = blind::estimate(&c, &survey, None).unwrap().capacitance_f;
+    let sensors = blind::estimate(&c, &survey, Some(1.25 * alone.value)).unwrap();
+    let found = Calibration::from_self_calibration(&sensors, &survey);
+    let share = 5e-3f64.hypot(alone.sigma / alone.value);
+    assert!((found.gain_ratio - 1.25).abs() < 1e-9, "{found:?}");
+    assert!(
+        (found.gain_ratio_sigma / (1.25 * share) - 1.0).abs() < 1e-9,
+        "{found:?}"
+    );
+    found.apply(&mut c);
+    let [_, gain] = sigma_of(&c).unwrap();
+    assert!((gain / share - 1.0).abs() < 1e-9, "{gain}");
+}
+
 #[test]
 fn files_come_back_and_others_are_refused() {
     let dir = tempfile::tempdir().unwrap();

@@ -99,6 +99,9 @@ const MIN_BESIDE_DROOP_S: f64 = 3e-9;
 /// Standard deviations from which a lag is significant.
 pub(super) const MIN_LAG_SIGMAS: f64 = 3.0;
 
+/// Relative standard deviation of a capacitance that is known to a percent.
+const CAPACITANCE_SHARE: f64 = 5e-3;
+
 /// Largest relative difference of C from the one given, beside its standard deviations.
 const GAIN: f64 = 0.01;
 
@@ -209,6 +212,13 @@ impl SelfCalibration {
         let limit = GAIN.max(MIN_LAG_SIGMAS * c.sigma / c.value);
         self.known_capacitance_f
             .map(|known_f| (known_f / c.value - 1.0, limit))
+    }
+
+    /// Relative standard deviation of the ratio of the gains that a capacitance given by the user shows: by the samples, and by that
+    /// capacitance.
+    pub fn gain_share(&self) -> f64 {
+        let c = self.capacitance_f;
+        CAPACITANCE_SHARE.hypot(c.sigma / c.value)
     }
 
     /// Correction of the channels; `None` if the lag is not significant, not sound, or could be the bridge's resistance.
