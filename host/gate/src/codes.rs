@@ -326,7 +326,7 @@ const ESTIMATORS: &[Code] = &[
     code(
         "piece_left_out",
         "warning",
-        "a piece between two steps is too short for the method",
+        "a piece between steps or zero crossings has no R and L",
         "10 switching periods",
         "nothing, or lockin",
     ),

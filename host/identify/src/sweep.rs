@@ -5,10 +5,13 @@ use std::f64::consts::TAU;
 use std::ops::Range;
 
 use ihd_signal::carrier::{Carrier, HannFrames};
+use ihd_signal::segment::MIN_PERIODS;
 use ihd_signal::warp::Warp;
 use ihd_signal::{Remark, Segment, Severity};
 
 use super::carrier_inputs::CarrierInputs;
+use super::steps::piece_left_out;
+use super::trajectory::TrajectoryCursor;
 use super::{Estimate, IdentifyError, IdentifyOptions, Method, reconstruction};
 
 /// Detects a segment's carrier; `None` if it does not move, or the method does not assume it constant.
@@ -100,33 +103,69 @@ pub(super) fn identify(
     whole.v_hat_v = vec![0.0; segment.len()];
     whole.i_hat_a = vec![0.0; segment.len()];
     let mut settings = quickened(settings, carrier, segment.half_cycle_s());
-    let mut failed = None;
+    let (mut failed, mut left_out) = (None, Vec::new());
     for range in parts(method, segment) {
         let warp = Warp::new(segment, carrier, range.clone());
         let warped = warp.samples();
-        if let Err(short) = warped.check() {
-            failed = Some(short.into());
-            continue;
-        }
-        if method == Method::Pinn {
-            settings.pinn.carrier = Some(inputs(&warp, &warped, carrier));
-        }
-        match identify(&warped, &settings, &|t_s| warp.time_s(t_s)) {
+        let checked = warped.check().map_err(IdentifyError::from);
+        let result = checked.and_then(|()| {
+            if method == Method::Pinn {
+                settings.pinn.carrier = Some(inputs(&warp, &warped, carrier));
+            }
+            identify(&warped, &settings, &|t_s| warp.time_s(t_s))
+        });
+        match result {
             Ok(mut found) => {
                 reconstruction::complete(&warped, &mut found);
-                whole.v_hat_v[range.clone()].copy_from_slice(&warp.unwarped(&found.v_hat_v));
-                whole.i_hat_a[range].copy_from_slice(&warp.unwarped(&found.i_hat_a));
+                take_waveforms(&mut whole, range, &found, &warp);
                 append(&mut whole, found, &warp);
             }
-            Err(e) => failed = Some(e),
+            Err(e) => {
+                // At a constant carrier, too, a stub of a half-cycle at an end is left out without a remark.
+                if warped.periods() >= MIN_PERIODS {
+                    let between_s = (segment.t_s(range.start), segment.t_s(range.end));
+                    let remark = piece_left_out("mains zero crossings", between_s, &warped, &e);
+                    whole.remarks.push(remark);
+                }
+                left_out.push(range);
+                failed = Some(e);
+            }
         }
     }
     if let (true, Some(e)) = (whole.t_s.is_empty(), failed) {
         return Err(e);
     }
+    for range in left_out {
+        let warp = Warp::new(segment, carrier, range.clone());
+        let bridge = bridge(&whole, &warp);
+        take_waveforms(&mut whole, range, &bridge, &warp);
+    }
     reconstruction::complete(segment, &mut whole);
     whole.remarks.push(remark(carrier));
     Ok(whole)
+}
+
+/// R and L of a part that was left out, between those before and after it, with the waveforms that they imply: as beside steps of the
+/// load.
+fn bridge(whole: &Estimate, warp: &Warp<'_>) -> Estimate {
+    let warped = warp.samples();
+    let mut bridge = Estimate::new(whole.method, warped.f_sw_hz);
+    if let Some(mut trajectory) = TrajectoryCursor::from(whole, f64::NEG_INFINITY) {
+        for k in 0..=warped.periods() as usize {
+            let warped_s = warped.t0_s + k as f64 / warped.f_sw_hz;
+            let t_s = warp.time_s(warped_s);
+            let (r, l) = trajectory.r_l(t_s);
+            bridge.push(warped_s, (r, l * warp.rate(t_s)), (0.0, 0.0));
+        }
+    }
+    reconstruction::complete(&warped, &mut bridge);
+    bridge
+}
+
+/// Takes the waveforms of a part, which are in warped time, into the range of its samples.
+fn take_waveforms(whole: &mut Estimate, range: Range<usize>, part: &Estimate, warp: &Warp<'_>) {
+    whole.v_hat_v[range.clone()].copy_from_slice(&warp.unwarped(&part.v_hat_v));
+    whole.i_hat_a[range].copy_from_slice(&warp.unwarped(&part.i_hat_a));
 }
 
 /// Converts an estimate from warped time to the capture's clock, and appends it.
@@ -154,4 +193,67 @@ fn remark(carrier: &Carrier) -> Remark {
         sweep.mean_hz * 1e-3
     );
     Remark::new("carrier_followed", Severity::Info, text).with(sweep.deviation_hz, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_signal::noise::WhiteNoise;
+    use ihd_sim::pot::SimulatedPot;
+    use ihd_sim::recording::run::record;
+    use ihd_sim::recording::sensing::Rate;
+    use ihd_sim::recording::settings::{CaptureSpec, CarrierSweep, LoadKind};
+
+    use super::*;
+    use crate::least_squares;
+
+    /// Three half-cycles of the empty coil, whose R and L hardly change: those before and after the middle one describe it, too. Without
+    /// waveforms there, a third of each signal would be missing.
+    #[test]
+    fn a_half_cycle_without_r_and_l_is_reported_and_bridged() {
+        let mut spec = CaptureSpec {
+            f_sw_hz: 50e3,
+            load: LoadKind::Behavioural,
+            pot: SimulatedPot::NONE,
+            duration_s: 30e-3,
+            sweep: Some(CarrierSweep {
+                deviation_hz: 1e3,
+                rate_hz: 100.0,
+            }),
+            ..CaptureSpec::default()
+        };
+        spec.sensing.rate = Rate::Hz(11.37e6);
+        let recording = record(&spec, |_| ()).unwrap();
+        let capture = recording.capture("sweep");
+        let wide = |x: &[f32]| x.iter().map(|x| f64::from(*x)).collect();
+        let (v_v, i_a) = (wide(&capture.v_v), wide(&capture.i_a));
+        let segment = recording.clean_segment().with_samples(v_v, i_a);
+        let method = Method::LeastSquares;
+        let carrier = detect(method, &segment).expect("a carrier that moves");
+        let half_s = segment.half_cycle_s();
+        let middle = segment.t0_s + half_s..segment.t0_s + 2.0 * half_s;
+        let settings = IdentifyOptions::default();
+        let found = identify(
+            method,
+            &segment,
+            &carrier,
+            &settings,
+            |warped, settings, _| {
+                if middle.contains(&warped.t_s(warped.len() / 2)) {
+                    let why = "for the test".to_owned();
+                    return Err(IdentifyError::Unfit { method, why });
+                }
+                let noise = WhiteNoise::measure(warped);
+                least_squares::identify(warped, noise, &settings.least_squares)
+            },
+        );
+        let found = found.expect("two half-cycles");
+        let left_out = found.remarks.iter().filter(|r| r.code == "piece_left_out");
+        let texts: Vec<&str> = left_out.map(|r| r.text.as_str()).collect();
+        assert!(
+            matches!(texts[..], [text] if text.contains("for the test")),
+            "{texts:?}"
+        );
+        let (v, i) = (found.nmse_v_pct.unwrap(), found.nmse_i_pct.unwrap());
+        assert!(v < 5.0 && i < 5.0, "{v} {i}");
+    }
 }

@@ -94,15 +94,9 @@ fn joined(
         match result {
             Ok(result) => append(&mut whole, result, from_s, to_s),
             Err(e) => {
-                let text = format!(
-                    "between steps of the load, {:.3} to {:.3} ms, there is no R and L: {e}",
-                    clock(from_s) * 1e3,
-                    clock(to_s) * 1e3
-                );
-                let left_out = Remark::new("piece_left_out", Severity::Warning, text);
-                whole
-                    .remarks
-                    .push(left_out.with(part.periods(), Some(MIN_PERIODS)));
+                let between_s = (clock(from_s), clock(to_s));
+                let remark = piece_left_out("steps of the load", between_s, &part, &e);
+                whole.remarks.push(remark);
                 failed = Some(e);
             }
         }
@@ -114,6 +108,22 @@ fn joined(
     let remarks = steps.iter().map(|s| remark(s, clock(s.t_s), cut));
     whole.remarks.extend(remarks);
     Ok(whole)
+}
+
+/// Remark on a piece without R and L; `bounds` says what it lies between, at these times on the capture's clock in seconds.
+pub(super) fn piece_left_out(
+    bounds: &str,
+    (from_s, to_s): (f64, f64),
+    piece: &Segment,
+    why: &IdentifyError,
+) -> Remark {
+    let text = format!(
+        "between {bounds}, {:.3} to {:.3} ms, there is no R and L: {why}",
+        from_s * 1e3,
+        to_s * 1e3
+    );
+    let remark = Remark::new("piece_left_out", Severity::Warning, text);
+    remark.with(piece.periods(), Some(MIN_PERIODS))
 }
 
 /// Part of a segment between two steps, or between a step and an end.
