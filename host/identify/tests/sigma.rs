@@ -3,7 +3,9 @@
 use std::f64::consts::TAU;
 
 use ihd_identify::accuracy::fundamental;
+use ihd_identify::least_squares::{self, LeastSquaresSettings};
 use ihd_identify::{Estimate, IdentifyOptions, Method, run};
+use ihd_signal::noise::{WhiteNoise, median};
 use ihd_signal::truth::PeriodTruth;
 use ihd_signal::{Segment, Severity};
 use ihd_sim::pot::{PotBase, SimulatedPot};
@@ -192,6 +194,36 @@ fn errors_are_within_twice_sigma_or_a_remark_warns() {
 #[test]
 fn errors_are_within_twice_sigma_or_a_remark_warns_all_variants() {
     check(&cases(true));
+}
+
+/// The samples, and not the phasors' splines, say how well R and L are known: with twice the intervals, as beside steps of the load and
+/// with a moving carrier, σ is the same. χ² of noise, which varies with the intervals, is within 15 %.
+#[test]
+fn the_standard_deviation_does_not_depend_on_the_intervals_of_the_phasors() {
+    let case = case("30 dB", &with(50e3, |s| s.sensing.snr_db = Some(30.0)));
+    let segment = case.segment.without_offsets();
+    let noise = WhiteNoise::measure(&segment);
+    let sigmas = |phasor_intervals: usize| {
+        let settings = LeastSquaresSettings {
+            phasor_intervals,
+            ..LeastSquaresSettings::default()
+        };
+        let found = least_squares::identify(&segment, noise, &settings).expect("a sound segment");
+        let half_s = segment.half_cycle_s();
+        let share = |t_s: &f64| segment.since_crossing_s(*t_s) / half_s;
+        let middle = |x: &[f64]| {
+            let each = found.t_s.iter().zip(x);
+            let within = each.filter(|(t_s, _)| (0.1..=0.9).contains(&share(t_s)));
+            median(&mut within.map(|(_, x)| *x).collect::<Vec<_>>()).expect("points")
+        };
+        [middle(&found.r_sigma_ohm), middle(&found.l_sigma_h)]
+    };
+    for (usual, doubled) in sigmas(24).into_iter().zip(sigmas(48)) {
+        assert!(
+            (0.85..1.15).contains(&(doubled / usual)),
+            "{usual:e} {doubled:e}"
+        );
+    }
 }
 
 fn check(cases: &[Case]) {

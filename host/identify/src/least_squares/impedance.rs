@@ -18,7 +18,7 @@ use super::{LeastSquaresSettings, intervals};
 use crate::model_residual::ModelResidual;
 use crate::{Estimate, IdentifyError, Method};
 
-/// Phasors that are used per interval.
+/// Phasors that are used per interval of R and L.
 const PER_INTERVAL: usize = 4;
 
 /// Least assumed relative noise: the residual of the phasors' splines.
@@ -97,7 +97,7 @@ struct Grid<'a> {
     i_square_max: f64,
     /// Square of the stretch's impedance, in Ω².
     z_square: f64,
-    /// Variance of one component of V − Z·I in V², shared by the points of an interval.
+    /// Variance of one component of V − Z·I in V², shared by the points of an interval of the phasors.
     variance: f64,
 }
 
@@ -129,9 +129,15 @@ impl<'a> Grid<'a> {
         (k as f64 + 0.5) / self.points as f64 * self.phasors.duration_s
     }
 
-    /// Adds the equations V = Z·I of all points.
+    /// Points that share the samples of an interval of the phasors. It may have fewer than [`PER_INTERVAL`], where phasors are to follow
+    /// more than R and L; one point holds the samples of one interval at most.
+    fn sharing(&self) -> f64 {
+        (self.points as f64 / self.phasors.intervals as f64).max(1.0)
+    }
+
+    /// Adds the equations V = Z·I of all points, together with the information of all samples.
     fn add_rows(&self, problem: &mut Problem, spline: &RationalSpline, omega: f64) {
-        let weight = 1.0 / (self.variance * PER_INTERVAL as f64);
+        let weight = 1.0 / (self.variance * self.sharing());
         for tau_s in (0..self.points).map(|k| self.tau_s(k)) {
             let (p, local) = (self.phasors.at(tau_s), spline.at(tau_s));
             let d = nalgebra::Complex::new(0.0, 1.0) * p.i + p.i_slope / omega;

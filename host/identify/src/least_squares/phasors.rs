@@ -34,6 +34,8 @@ type Phasor = Complex<f64>;
 pub struct SplineFit {
     /// Basis of the splines, in seconds after the first sample.
     pub spline: CubicSpline,
+    /// Number of the splines' intervals.
+    pub intervals: usize,
     /// Samples of one interval.
     pub samples_per_interval: f64,
     /// Time of the stretch's first sample in seconds.
@@ -120,6 +122,7 @@ impl SplineFit {
             ),
             third: sinc(3.0 * segment.f_sw_hz * EDGE_S) / 3.0,
             excess,
+            intervals: count,
             samples_per_interval: v_v.len() as f64 / count as f64,
             t0_s: segment.t_s(range.start),
             duration_s,
