@@ -77,10 +77,17 @@ pub(super) fn find(
     Ok((pieces, tracks))
 }
 
+/// Switching frequencies that the capture states, in order of time; a file may list them in any order.
+fn stated_steps(capture: &Capture) -> Vec<FrequencyStep> {
+    let mut steps = capture.f_sw.clone();
+    steps.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
+    steps
+}
+
 /// Cuts runs where the capture states another switching frequency.
 fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     let mut out = Vec::new();
-    let steps = lone_steps(&capture.f_sw);
+    let steps = lone_steps(&stated_steps(capture));
     for run in runs {
         let mut start = run.samples.start;
         for step in &steps {
@@ -90,7 +97,6 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
             if at > guard && at + guard < run.samples.len() as f64 {
                 let (at, guard) = (run.samples.start + at as usize, guard as usize);
                 out.push(run.part(start..at.saturating_sub(guard)));
-                // A file may list its steps in any order.
                 start = start.max(at + guard);
             }
         }
@@ -100,7 +106,7 @@ fn specified_parts(capture: &Capture, runs: &[Run]) -> Vec<Run> {
     out
 }
 
-/// Stated steps after which the frequency stays; steps in quick succession are a motion and are left out.
+/// Steps, in order of time, after which the frequency stays; steps in quick succession are a motion and are left out.
 fn lone_steps(stated: &[FrequencyStep]) -> Vec<FrequencyStep> {
     let near = |a: &FrequencyStep, b: &FrequencyStep| {
         (b.t_s - a.t_s).abs() < MIN_PERIODS / a.f_sw_hz.max(b.f_sw_hz)
@@ -181,8 +187,8 @@ pub(super) fn frequency_findings(
             });
         }
     }
+    let steps = stated_steps(capture);
     let specified_at = |t_s: f64| {
-        let steps = &capture.f_sw;
         let before = steps.partition_point(|s| s.t_s <= t_s).max(1);
         hints.f_sw_hz.or(steps.get(before - 1).map(|s| s.f_sw_hz))
     };

@@ -118,6 +118,24 @@ fn steps_in_any_order_do_not_make_spans_overlap() {
     }
 }
 
+#[test]
+fn the_order_in_which_steps_are_stated_does_not_matter() {
+    let mut s = settings(45e3, 20e-3);
+    s.events = vec![RecordingEvent {
+        t_s: 10e-3,
+        change: RecordingChange::Frequency(50e3),
+    }];
+    let mut c = capture(&s);
+    c.f_sw = [(0.0, 45e3), (10e-3, 50e3)]
+        .map(|(t_s, f_sw_hz)| ihd_signal::FrequencyStep { t_s, f_sw_hz })
+        .to_vec();
+    let in_order = survey(&c);
+    let differs = |f: &Finding| matches!(f, Finding::FrequencyDiffers { .. });
+    assert!(!in_order.findings.iter().any(differs));
+    c.f_sw.reverse();
+    assert_eq!(survey(&c), in_order);
+}
+
 /// Found by fuzzing: steps of time that are infinite.
 #[test]
 fn stamps_at_the_ends_of_what_a_number_holds_are_refused() {
