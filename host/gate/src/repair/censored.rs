@@ -90,8 +90,9 @@ impl<'a> Censored<'a> {
     /// Fits a span; `None` if no window of it is whole.
     pub(super) fn fit_span(pair: Pair<'a>) -> Option<Self> {
         let length = (WINDOW as f64 * pair.per_period).round() as usize;
-        let windows = (pair.x.len() as f64 / pair.per_period) as usize;
-        let windows = windows.checked_sub(WINDOW).filter(|n| *n > 0)?;
+        let periods = (pair.x.len() as f64 / pair.per_period) as usize;
+        // The last window ends with the last whole period.
+        let windows = (periods + 1).checked_sub(WINDOW).filter(|n| *n > 0)?;
         let hann = hann(length).into_iter().map(|w| 2.0 * w).collect();
         let mut model = Self {
             pair,
@@ -439,6 +440,41 @@ mod tests {
     use std::f64::consts::PI;
 
     use super::*;
+
+    /// A current that grows to 1 A and clips at 0.9 A, through 4 Ω at 60°.
+    #[test]
+    fn samples_are_restored_up_to_the_last_period() {
+        const PER_PERIOD: usize = 50;
+        const SAMPLES: usize = 40 * PER_PERIOD;
+        let wave = |k: usize, turns: f64| {
+            let amplitude = 0.5 + 0.5 * k as f64 / SAMPLES as f64;
+            amplitude * libm::cos(TAU * (k as f64 / PER_PERIOD as f64 + turns))
+        };
+        let full: Vec<f64> = (0..SAMPLES).map(|k| wave(k, 0.0)).collect();
+        let x: Vec<f32> = full.iter().map(|x| x.clamp(-0.9, 0.9) as f32).collect();
+        let y: Vec<f32> = (0..SAMPLES)
+            .map(|k| (4.0 * wave(k, 1.0 / 6.0)) as f32)
+            .collect();
+        let pair = Pair {
+            x: &x,
+            y: &y,
+            is_voltage: false,
+            per_period: PER_PERIOD as f64,
+            noise: [1e-4, 1e-4],
+            rails: [-0.899, 0.899],
+        };
+        let restored = Censored::fit_span(pair).expect("whole windows").values();
+        let beyond: Vec<usize> = (0..SAMPLES)
+            .filter(|k| !is_inside(x[*k], pair.rails))
+            .collect();
+        assert!(beyond.iter().any(|k| *k >= SAMPLES - PER_PERIOD));
+        let places: Vec<usize> = restored.iter().map(|(k, _)| *k).collect();
+        assert_eq!(places, beyond);
+        for (k, value) in restored {
+            // The other channel's phasor is held beyond the middle of the last window: two periods of growth are 2.5 %.
+            assert!((f64::from(value) - full[k]).abs() < 0.05, "{k}: {value}");
+        }
+    }
 
     #[test]
     fn the_mean_beyond_a_place_is_that_of_the_normal_law() {
