@@ -123,7 +123,7 @@ impl LibraryHypothesisState {
 pub(crate) struct Comparison {
     /// Mean square in variances under the hypothesis that expected the window best.
     pub chi2: f64,
-    /// Mean relative differences of R and L from that expectation.
+    /// Root mean squares of the relative differences of R and L from that expectation.
     pub off: [f64; 2],
     /// Mean square in variances under the hypothesis that expected the window worst.
     pub most_chi2: f64,

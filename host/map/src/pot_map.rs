@@ -61,9 +61,9 @@ pub enum CurveMatch {
     Another {
         /// Mean square in variances expected of the known pot.
         chi2: f64,
-        /// Mean relative difference of R from the expectation.
+        /// Root mean square of the relative difference of R from the expectation.
         r: f64,
-        /// Mean relative difference of L from the expectation.
+        /// Root mean square of the relative difference of L from the expectation.
         l: f64,
     },
 }
