@@ -77,7 +77,8 @@ const STRETCH_SAMPLES: usize = 1 << 15;
 fn concerns(finding: &Finding, segment: &Segment) -> bool {
     let (from_s, to_s) = (segment.t0_s, segment.t_s(segment.len()));
     match finding {
-        Finding::Clipping { channel, level, .. } => {
+        Finding::Clipping { channel, rails, .. } => {
+            let (low, high) = rails.reached_from(AT_LEVEL);
             let x = match channel {
                 Channel::Voltage => &segment.v_v,
                 Channel::Current => &segment.i_a,
@@ -86,12 +87,48 @@ fn concerns(finding: &Finding, segment: &Segment) -> bool {
             let mut stretches = (0..x.len()).step_by(STRETCH_SAMPLES);
             stretches.any(|from| {
                 let x = x.block(from..(from + STRETCH_SAMPLES).min(x.len()), &mut buffer);
-                x.iter().any(|x| x.abs() >= AT_LEVEL * level)
+                x.iter().any(|x| *x <= low || *x >= high)
             })
         }
         Finding::CarrierAbsent {
             from_s: a, to_s: b, ..
         } => *a < to_s && *b > from_s,
         _ => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ihd_signal::Samples;
+    use ihd_survey::clipping::Rails;
+
+    use super::*;
+
+    /// A current that clips at -85 A and at +75 A, in stretches of a capture.
+    #[test]
+    fn clipping_concerns_a_stretch_that_reaches_either_end() {
+        let finding = Finding::Clipping {
+            channel: Channel::Current,
+            samples: 100,
+            level: 85.0,
+            rails: Rails {
+                low: Some(-85.0),
+                high: Some(75.0),
+            },
+        };
+        let concerned = |crests: [f32; 2]| {
+            let segment = Segment {
+                f_sw_hz: 45e3,
+                mains_hz: 50.0,
+                zero_crossing_s: 0.0,
+                t0_s: 0.0,
+                dt_s: 1e-7,
+                v_v: Samples::singles(vec![0.0; 2]),
+                i_a: Samples::singles(crests.to_vec()),
+            };
+            concerns(&finding, &segment)
+        };
+        assert!(concerned([75.0, -60.0]) && concerned([60.0, -85.0]));
+        assert!(!concerned([74.0, -84.0]));
     }
 }

@@ -158,7 +158,8 @@ fn report(
         findings.push(Finding::Clipping {
             channel: which,
             samples: clipped.samples,
-            level: clipped.level,
+            level: clipped.rails.level(),
+            rails: clipped.rails,
         });
     }
     let most = match which {

@@ -47,8 +47,34 @@ const MAX_NOISE_SHARE: f64 = 5e-3;
 pub struct ClippedSamples {
     /// Number of samples at an end of the range.
     pub samples: usize,
-    /// Magnitude of the level at which they rest, in the channel's unit.
-    pub level: f64,
+    /// Levels at which they rest.
+    pub rails: Rails,
+}
+
+/// Levels at which a channel rests, in its unit; the ends of its range need not be equally far from zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rails {
+    /// Level at the lower end; `None` if the channel does not rest there.
+    pub low: Option<f64>,
+    /// Level at the upper end; `None` if the channel does not rest there.
+    pub high: Option<f64>,
+}
+
+impl Rails {
+    /// Largest magnitude of the levels; 0 without one.
+    pub fn level(&self) -> f64 {
+        let levels = self.low.into_iter().chain(self.high);
+        levels.map(f64::abs).fold(0.0, f64::max)
+    }
+
+    /// Values from which a sample counts as clipped, downwards and upwards; `share` is their share of the levels. Infinite without a level.
+    pub fn reached_from(&self, share: f64) -> (f64, f64) {
+        let margin = |level: f64| (1.0 - share) * level.abs();
+        (
+            self.low.map_or(f64::NEG_INFINITY, |low| low + margin(low)),
+            self.high.map_or(f64::INFINITY, |high| high - margin(high)),
+        )
+    }
 }
 
 impl ClippedSamples {
@@ -59,7 +85,8 @@ impl ClippedSamples {
         if self.samples == 0 || snr_db > TAILS_BELOW_DB || per_period < MIN_PER_PERIOD {
             return false;
         }
-        let at_end = |x: f32| f64::from(x.abs()) >= FULL_SCALE * self.level;
+        let (low, high) = self.rails.reached_from(FULL_SCALE);
+        let at_end = |x: f32| f64::from(x) <= low || f64::from(x) >= high;
         let clipped = x.iter().filter(|x| at_end(**x)).count() as f64;
         let followed = x
             .windows(2)
@@ -90,10 +117,11 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
             0
         };
         if samples > 0 {
-            return ClippedSamples {
-                samples,
-                level: full_scale,
+            let rails = Rails {
+                low: Some(-full_scale),
+                high: Some(full_scale),
             };
+            return ClippedSamples { samples, rails };
         }
     }
     let width = bin_width(x, high - low);
@@ -116,15 +144,14 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
             }
         }
     }
-    let mut out = ClippedSamples::default();
-    for (end, level) in ends.into_iter().zip([high, low]) {
-        let samples = end.clipped();
-        if samples > 0 {
-            out.samples += samples;
-            out.level = out.level.max(level.abs());
-        }
+    let [at_high, at_low] = ends.map(|end| end.clipped());
+    ClippedSamples {
+        samples: at_high + at_low,
+        rails: Rails {
+            low: (at_low > 0).then_some(low),
+            high: (at_high > 0).then_some(high),
+        },
     }
-    out
 }
 
 /// Samples that are compared with both ends together: in most blocks none is near one.
@@ -245,9 +272,28 @@ mod tests {
                     flat.samples > 0 && flat.samples.abs_diff(truth) < truth / 5,
                     "{bits} {floor}: {flat:?} {truth}"
                 );
-                assert!((flat.level - 0.8).abs() < 0.03, "{flat:?}");
+                let (low, high) = (flat.rails.low.unwrap(), flat.rails.high.unwrap());
+                assert!(
+                    (high - 0.8).abs() < 0.03 && (low + 0.8).abs() < 0.03,
+                    "{flat:?}"
+                );
             }
         }
+    }
+
+    #[test]
+    fn each_end_has_its_own_level() {
+        let full = sine(12, 2.0, 0.0);
+        let clipped = |low: f32, high: f32| {
+            let x: Vec<f32> = full.iter().map(|x| x.clamp(low, high)).collect();
+            count_clipped(&x, None).rails
+        };
+        let near = |level: Option<f64>, right: f64| (level.unwrap() - right).abs() < 1e-3;
+        let both = clipped(-0.85, 0.75);
+        assert!(near(both.low, -0.85) && near(both.high, 0.75), "{both:?}");
+        assert!((both.level() - 0.85).abs() < 1e-3);
+        let upper = clipped(-2.0, 0.75);
+        assert!(upper.low.is_none() && near(upper.high, 0.75), "{upper:?}");
     }
 
     /// Three percent off the highest crests, as a rail in front of the converter cuts them; 8 bits are too coarse for so little.

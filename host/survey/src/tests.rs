@@ -318,6 +318,7 @@ fn clipping_and_offsets_are_reported_with_channel_and_size() {
                 channel: Channel::Current,
                 samples,
                 level,
+                ..
             } => Some((*samples, *level)),
             _ => None,
         });

@@ -95,6 +95,7 @@ impl ClippedChannel {
                 channel,
                 samples,
                 level,
+                ..
             } => Some((*channel, *samples, *level)),
             _ => None,
         };

@@ -8,6 +8,7 @@ use ihd_signal::Remark;
 pub use ihd_signal::Severity;
 use serde::Serialize;
 
+use crate::clipping::Rails;
 use crate::grid;
 
 /// Channel of a capture.
@@ -167,8 +168,11 @@ pub enum Finding {
         channel: Channel,
         /// Number of samples at that level.
         samples: usize,
-        /// Magnitude of the level, in the channel's unit.
+        /// Magnitude of the level, in the channel's unit: of both ends the larger.
         level: f64,
+        /// Levels at both ends.
+        #[serde(skip)]
+        rails: Rails,
     },
     /// A channel has a constant offset: neither the coil's voltage nor its current has a mean.
     Offset {

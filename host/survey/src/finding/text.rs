@@ -141,6 +141,7 @@ impl fmt::Display for Finding {
                 channel,
                 samples,
                 level,
+                ..
             } => write!(
                 f,
                 "the {channel} is clipped at {level:.4} {}: {samples} samples; R and L are wrong \
