@@ -39,7 +39,8 @@ impl Saturation {
             100.0 * self.bend,
             100.0 * self.left
         );
-        Remark::new("sensor_nonlinear", Severity::Warning, text).with(100.0 * self.bend, Some(0.4))
+        let remark = Remark::new("sensor_nonlinear", Severity::Warning, text);
+        remark.with(100.0 * self.bend, Some(100.0 * self.limit))
     }
 }
 
@@ -69,7 +70,7 @@ impl SelfCalibration {
                         WithSigma::new(100.0 * bend.value, 100.0 * bend.sigma)
                     ),
                 )
-                .with(100.0 * bend.value, Some(0.4)),
+                .with(100.0 * bend.value, Some(100.0 * self.max_gain_change())),
             );
         }
         if !self.tests.flat {
@@ -91,6 +92,7 @@ impl SelfCalibration {
 
     fn lag_remark(&self, corrected: bool) -> Remark {
         let (ns, sigma) = (self.lag_s.value * 1e9, self.lag_s.sigma * 1e9);
+        let least = Some(self.least_lag_s() * 1e9);
         let cost = self.cost_pct.map_or(String::new(), |(r, l)| {
             format!(
                 ", {} to R by {r:.2} %, to L by {l:.2} %",
@@ -104,7 +106,7 @@ impl SelfCalibration {
         if !self.is_significant() {
             let lag = WithSigma::new(ns, sigma);
             let text = format!("the sensors agree: the current's lag is {lag} ns");
-            return Remark::new("sensors_agree", Severity::Info, text).with(ns, Some(3.0 * sigma));
+            return Remark::new("sensors_agree", Severity::Info, text).with(ns, least);
         }
         let (code, what) = self.in_words();
         if corrected {
@@ -144,7 +146,7 @@ impl SelfCalibration {
         } else {
             "; it is not corrected: --self-calibrate auto does".to_owned()
         };
-        Remark::new(code, severity, format!("{what}{cost}{why}")).with(ns, Some(3.0 * sigma))
+        Remark::new(code, severity, format!("{what}{cost}{why}")).with(ns, least)
     }
 
     /// Code of the response, and its description with numbers.

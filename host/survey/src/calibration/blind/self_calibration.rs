@@ -122,19 +122,27 @@ impl SelfCalibration {
     /// Returns `true` if the current's sensor is not linear.
     pub fn is_bent(&self) -> bool {
         let bend = self.tests.bend;
-        let least = if self.samples < FINE_SAMPLES {
+        bend.value.abs() > self.max_gain_change() && bend.value.abs() > BENT_SIGMAS * bend.sigma
+    }
+
+    /// Relative change of the current's gain above which the sensor is not linear, for the samples of these plateaus.
+    pub(super) fn max_gain_change(&self) -> f64 {
+        if self.samples < FINE_SAMPLES {
             BENT_IF_COARSE
         } else {
             MAX_GAIN_CHANGE
-        };
-        bend.value.abs() > least && bend.value.abs() > BENT_SIGMAS * bend.sigma
+        }
     }
 
     /// Returns `true` if the channels differ by more than noise.
     pub fn is_significant(&self) -> bool {
         let lag = self.lag_s;
-        self.response != SensorResponse::Right
-            && lag.value.abs() > (MIN_LAG_SIGMAS * lag.sigma).max(MIN_LAG_S)
+        self.response != SensorResponse::Right && lag.value.abs() > self.least_lag_s()
+    }
+
+    /// Lag in seconds above which the channels differ by more than noise.
+    pub(super) fn least_lag_s(&self) -> f64 {
+        (MIN_LAG_SIGMAS * self.lag_s.sigma).max(MIN_LAG_S)
     }
 
     /// Returns `true` if the lag matters to R.

@@ -16,6 +16,8 @@ pub struct Saturation {
     pub at_a: f64,
     /// Relative loss of gain at the largest current.
     pub bend: f64,
+    /// Relative loss of gain above which the sensor counts as saturated.
+    pub limit: f64,
     /// Relative standard deviation that the correction leaves.
     pub left: f64,
 }
@@ -65,6 +67,7 @@ pub(super) fn straighten(
     let saturation = Saturation {
         at_a,
         bend,
+        limit: bent.max_gain_change(),
         left: sensors.tests.bend.sigma.hypot(CURVES * bend * bend),
     };
     Some((straight, sensors, saturation))

@@ -282,6 +282,26 @@ fn a_saturating_sensor_is_warned_of_and_not_corrected() {
     assert!(warned.all(|r| of_model.contains(&r.code)), "{said:?}");
 }
 
+/// Few samples between edges make a limit of 1 % out of one of 0.4 %: the remark states the one that decided.
+#[test]
+fn a_remark_states_the_limit_that_was_exceeded() {
+    let f = found(&capture(&settings(scope(), 5)));
+    for (samples, limit_pct) in [(60.0, 0.4), (20.0, 1.0)] {
+        let bend = FittedValue {
+            value: 0.02,
+            sigma: 1e-4,
+        };
+        let bent = SelfCalibration {
+            samples,
+            tests: ModelTests { bend, ..f.tests },
+            ..f.clone()
+        };
+        let said = bent.remarks(false);
+        let nonlinear = said.iter().find(|r| r.code == "sensor_nonlinear").unwrap();
+        assert!((nonlinear.limit.unwrap() - limit_pct).abs() < 1e-9);
+    }
+}
+
 /// The correction assumes tanh; of another curve with the same cubic term it leaves what its deviation says.
 #[test]
 fn a_saturation_is_taken_out_to_its_deviation() {
