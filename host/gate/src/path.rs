@@ -7,6 +7,7 @@ use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, accuracy,
     reconstruction, run_preprocessed,
 };
+use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Capture, Remark, Segment, SegmentError, Severity};
 use ihd_survey::calibration::blind::BlindOptions;
 use ihd_survey::{Hints, Survey, SurveyError};
@@ -128,8 +129,10 @@ fn examine_samples(
         progress("reference", outcomes.len(), total);
         let remarks = prepared.remarks_on(index, segment);
         let known = prepared.take_interference(index);
-        let noise = prepared.survey.noise_of(index);
-        let preprocessing = Preprocessing::with_noise(segment, noise);
+        // A short segment does not show its own noise.
+        let measured = || WhiteNoise::measure(segment).or_else(|| prepared.survey.noise());
+        let noise = prepared.survey.noise_of(index).unwrap_or_else(measured);
+        let preprocessing = Preprocessing::with_noise(segment, Some(noise));
         let mut reference = ReferenceResults::compute(segment, &preprocessing, known);
         let shared = prepared.shared_sigma(segment.f_sw_hz);
         let judged = |estimate: &Estimate, reference: &ReferenceResults| {

@@ -320,6 +320,8 @@ fn run_on(
         Some(preprocessing) if sweep::takes_constant(method) => preprocessing.carrier.clone(),
         _ => sweep::detect(method, segment),
     };
+    let of_whole =
+        || preprocessing.map_or_else(|| WhiteNoise::measure(segment), Preprocessing::noise);
     let Some(carrier) = carrier else {
         return steps::identify(
             method,
@@ -327,7 +329,7 @@ fn run_on(
             preprocessing.map(|preprocessing| &preprocessing.steps),
             settings,
             &|t_s| t_s,
-            |segment, settings| at_constant_load(method, segment, known, settings, sink),
+            |segment, settings| at_constant_load(method, segment, known, &of_whole, settings, sink),
         );
     };
     let of_part = Known {
@@ -343,8 +345,9 @@ fn run_on(
             // The truth belongs to another clock than the warped samples.
             let (truth, report) = (None, &mut *sink.report);
             let mut sink = ProgressSink { truth, report };
-            steps::identify(method, warped, None, settings, clock, |warped, settings| {
-                at_constant_load(method, warped, of_part, settings, &mut sink)
+            let of_warped = || WhiteNoise::measure(warped).or_else(of_whole);
+            steps::identify(method, warped, None, settings, clock, |piece, settings| {
+                at_constant_load(method, piece, of_part, &of_warped, settings, &mut sink)
             })
         },
     )
@@ -356,15 +359,18 @@ fn needs_offsets_removed(method: Method) -> bool {
     !matches!(method, Method::Lockin | Method::Firmware | Method::EkfPaper)
 }
 
-/// Runs a method on a segment of one frequency without steps of the load. `known`: the segment's result of least squares, if it is known.
+/// Runs a method on a segment of one frequency without steps of the load. `known`: the segment's result of least squares, if it is known;
+/// `of_whole`: the noise of all that the segment is a piece of, for a piece that is too short to show its own.
 fn at_constant_load(
     method: Method,
     segment: &Segment,
     known: Known<'_>,
+    of_whole: &dyn Fn() -> WhiteNoise,
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
-    let noise = || known.noise.unwrap_or_else(|| WhiteNoise::measure(segment));
+    let measured = || WhiteNoise::measure(segment).or_else(of_whole);
+    let noise = || known.noise.unwrap_or_else(measured);
     let mut estimate = match method {
         Method::Kf => kf::identify(segment, settings),
         Method::Ekf => ekf::identify(segment, settings),
@@ -377,7 +383,8 @@ fn at_constant_load(
         Method::Pinn => pinn::identify(segment, settings, sink),
     }?;
     if !known.is_independent && !matches!(method, Method::LeastSquares | Method::Pinn) {
-        reference::raise_sigmas(&mut estimate, segment, known.least_squares, settings);
+        let known = known.least_squares;
+        reference::raise_sigmas(&mut estimate, segment, known, of_whole, settings);
     }
     Ok(estimate)
 }

@@ -19,11 +19,13 @@ const MAX_CHANCE_RATIO: f64 = 1.5;
 const LIMITS: [f64; 2] = [1e-2, 7e-3];
 
 /// Raises σ of `estimate` by its contradiction to least squares, which uses the fundamental alone and the whole half-cycle.
-/// Leaves it unchanged if least squares fails, or the estimate states no σ. `known`: the result of least squares if it is known.
+/// Leaves it unchanged if least squares fails, or the estimate states no σ. `known`: the result of least squares if it is known;
+/// `of_whole`: the noise for a segment that is too short to show its own.
 pub(crate) fn raise_sigmas(
     estimate: &mut Estimate,
     segment: &Segment,
     known: Option<&Estimate>,
+    of_whole: &dyn Fn() -> WhiteNoise,
     settings: &IdentifyOptions,
 ) {
     if estimate.r_sigma_ohm.len() != estimate.t_s.len() {
@@ -31,7 +33,7 @@ pub(crate) fn raise_sigmas(
     }
     let computed = || {
         let centred = segment.without_offsets();
-        let noise = WhiteNoise::measure(&centred);
+        let noise = WhiteNoise::measure(&centred).or_else(of_whole);
         least_squares::identify(&centred, noise, &settings.least_squares).map(Cow::Owned)
     };
     let Ok(reference) = known.map_or_else(computed, |known| Ok(Cow::Borrowed(known))) else {

@@ -75,6 +75,19 @@ impl WhiteNoise {
         }
     }
 
+    /// Returns this noise, with the other one for a channel on which it could not be measured.
+    pub fn or_else(self, other: impl FnOnce() -> Self) -> Self {
+        if self.v_v > 0.0 && self.i_a > 0.0 {
+            return self;
+        }
+        let other = other();
+        let measured = |own: f64, other: f64| if own > 0.0 { own } else { other };
+        Self {
+            v_v: measured(self.v_v, other.v_v),
+            i_a: measured(self.i_a, other.i_a),
+        }
+    }
+
     /// Deviations in volt and ampere; `None` if the segment was too short.
     pub fn measured(self) -> Option<[f64; 2]> {
         (self != Self::default()).then_some([self.v_v, self.i_a])
@@ -294,6 +307,15 @@ mod tests {
         assert!((quantile_of_median(3, 0.5) - std::f64::consts::LN_2).abs() < 1e-9);
         // Many: all quantiles close in on ln 2.
         assert!((quantile_of_median(32, 0.2) / 0.577 - 1.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn another_noise_stands_for_what_was_not_measured() {
+        let noise = |v_v, i_a| WhiteNoise { v_v, i_a };
+        let whole = || noise(2.0, 0.3);
+        assert_eq!(noise(1.0, 0.1).or_else(whole), noise(1.0, 0.1));
+        assert_eq!(noise(1.0, 0.0).or_else(whole), noise(1.0, 0.3));
+        assert_eq!(WhiteNoise::default().or_else(whole), whole());
     }
 
     #[test]

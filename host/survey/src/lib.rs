@@ -210,14 +210,20 @@ impl Survey {
         })
     }
 
+    /// White noise of the longest span; 0 on a channel where it could not be measured.
+    pub fn noise(&self) -> WhiteNoise {
+        WhiteNoise {
+            v_v: self.voltage.noise.unwrap_or(0.0),
+            i_a: self.current.noise.unwrap_or(0.0),
+        }
+    }
+
     /// White noise of a span; `None` if it was not measured on it, but on a longer one.
     pub fn noise_of(&self, span: usize) -> Option<WhiteNoise> {
         let spans = self.spans.iter().enumerate();
         let longest = spans.max_by_key(|(_, s)| s.samples);
-        longest.filter(|(k, _)| *k == span).map(|_| WhiteNoise {
-            v_v: self.voltage.noise.unwrap_or(0.0),
-            i_a: self.current.noise.unwrap_or(0.0),
-        })
+        let is_longest = longest.is_some_and(|(k, _)| k == span);
+        is_longest.then(|| self.noise())
     }
 
     /// Copies all spans out of the capture that was surveyed.

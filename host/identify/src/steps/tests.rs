@@ -1,4 +1,5 @@
 use ihd_signal::Segment;
+use ihd_signal::noise::{WhiteNoise, mean_square};
 use ihd_sim::recording::run::{SimulatedRecording, record};
 use ihd_sim::recording::sensing::Rate;
 use ihd_sim::recording::settings::{
@@ -6,7 +7,7 @@ use ihd_sim::recording::settings::{
 };
 
 use super::*;
-use crate::{accuracy, run};
+use crate::{Preprocessing, ProgressSink, accuracy, run, run_preprocessed};
 
 /// A half-cycle of the behavioural load at 50 kHz, whose R and L become these times the law's at these times in seconds.
 fn recorded(
@@ -95,5 +96,38 @@ fn the_pieces_are_identified_and_joined_in_order_of_time() {
         let whole = run(Method::Rls, &segment, &IdentifyOptions::default()).unwrap();
         let warns = |r: &Remark| r.code == "load_step" && r.severity == Severity::Warning;
         assert!(whole.remarks.iter().any(warns));
+    }
+}
+
+/// The piece between the steps has eleven periods, too few to measure noise. That of the whole segment then limits what n samples of it
+/// can say of R: σ of a phasor's component is √(2/n) of a sample's.
+#[test]
+fn a_piece_without_noise_of_its_own_has_that_of_the_segment() {
+    let (_, segment) = recorded(&SPOON, 11.37e6, None);
+    let noise = WhiteNoise {
+        v_v: 100.0,
+        i_a: 20.0,
+    };
+    let preprocessing = Preprocessing::with_noise(&segment, Some(noise)).unwrap();
+    let piece = segment.part(segment.index_at(5.0e-3), segment.index_at(5.3e-3));
+    let [v_square, i_square] = [&piece.v_v, &piece.i_a].map(|x| mean_square(x));
+    let white = noise.v_v.powi(2) + v_square / i_square * noise.i_a.powi(2);
+    let least_ohm = (2.0 * white / piece.len() as f64 / (2.0 * i_square)).sqrt();
+    for method in [Method::LeastSquares, Method::Lockin] {
+        let (truth, report) = (None, &mut |_| {});
+        let mut sink = ProgressSink { truth, report };
+        let settings = IdentifyOptions::default();
+        let estimate =
+            run_preprocessed(method, &segment, &preprocessing, None, &settings, &mut sink).unwrap();
+        let all = estimate.t_s.iter().zip(&estimate.r_sigma_ohm);
+        let inner: Vec<f64> = all
+            .filter(|(t_s, _)| (5.08e-3..5.22e-3).contains(*t_s))
+            .map(|(_, sigma)| *sigma)
+            .collect();
+        // The voltage's harmonics are a fifth of its square, and in |Z|² here.
+        assert!(
+            !inner.is_empty() && inner.iter().all(|sigma| *sigma > 0.8 * least_ohm),
+            "{method}: {inner:?} {least_ohm}"
+        );
     }
 }
