@@ -45,9 +45,7 @@ fn shown(answer: &clap::Error) -> ExitCode {
     let printed = printed.and_then(|()| std::io::stdout().flush());
     match (printed, answer.exit_code()) {
         (Err(error), 0) => {
-            output::complain(format_args!(
-                "ihd: cannot write to standard output: {error}"
-            ));
+            cli::exit::complain("ihd", &output::output_error(error));
             ExitCode::FAILURE
         }
         (_, 0) => ExitCode::SUCCESS,

@@ -5,7 +5,7 @@ use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use ihd_plot::file::{ENDING_NAMES, ENDINGS};
 use ihd_signal::printable::is_shown;
 use serde::Serialize;
@@ -145,9 +145,15 @@ pub struct OutputClosed;
 
 fn raw(bytes: &[u8]) -> Result<()> {
     let mut out = std::io::stdout().lock();
-    match out.write_all(bytes).and_then(|()| out.flush()) {
-        Err(error) if error.kind() == ErrorKind::BrokenPipe => Err(OutputClosed.into()),
-        written => written.context("cannot write to standard output"),
+    let written = out.write_all(bytes).and_then(|()| out.flush());
+    written.map_err(output_error)
+}
+
+/// Error of writing to standard output.
+pub fn output_error(error: std::io::Error) -> anyhow::Error {
+    match error.kind() {
+        ErrorKind::BrokenPipe => OutputClosed.into(),
+        _ => anyhow::Error::from(error).context("cannot write to standard output"),
     }
 }
 

@@ -1,10 +1,12 @@
 //! Exit codes of every command, and what it says: docs of each are in its --help.
 
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Output, Stdio};
 
 use assert_cmd::Command;
 use ihd_fakes::free_address;
+
+use crate::process::closed_pipe;
 
 /// Text that names a terminal's window, where it reaches one raw.
 const ESCAPES: &str = "\x1b]0;owned\x07";
@@ -426,5 +428,25 @@ fn offsets_do_not_bend_r_and_l() {
             (a - b).abs() < 0.05,
             "clean {clean:?}, with offsets {off:?}"
         );
+    }
+}
+
+/// `ihd … | head -0`: no word of it, as of other programs.
+#[test]
+fn a_reader_that_is_gone_is_no_news() {
+    for args in [
+        &["--help"][..],
+        &["--version"],
+        &["inspect", "--help"],
+        &["--json"],
+    ] {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_ihd"));
+        command
+            .args(args)
+            .stdout(closed_pipe())
+            .stderr(Stdio::piped());
+        let ended = command.spawn().unwrap().wait_with_output().unwrap();
+        assert_eq!(ended.status.code(), Some(1), "{args:?}: {ended:?}");
+        assert_eq!(String::from_utf8_lossy(&ended.stderr), "", "{args:?}");
     }
 }

@@ -1,6 +1,6 @@
 //! Processes of tests, which end with them; `ihd hob` among them.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, PipeWriter, Read};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
@@ -22,6 +22,12 @@ pub fn wait_for<T>(mut poll: impl FnMut() -> Option<T>, late: impl FnOnce() -> S
         }
         std::thread::sleep(Duration::from_millis(20));
     }
+}
+
+/// Standard output or error whose reader is gone.
+pub fn closed_pipe() -> PipeWriter {
+    let (_, writer) = std::io::pipe().expect("a pipe");
+    writer
 }
 
 /// A process whose lines are read as they come; killed at the end.

@@ -6,8 +6,8 @@ use std::sync::MutexGuard;
 
 use ihd_fakes::free_address;
 
-use super::processes::{alone, closed_pipe, command, device, heated, ihd};
-use crate::process::{Hob, Process};
+use super::processes::{alone, command, device, heated, ihd};
+use crate::process::{Hob, Process, closed_pipe};
 
 struct Bench {
     hob: Hob,

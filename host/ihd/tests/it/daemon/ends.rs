@@ -4,8 +4,8 @@ use std::os::unix::net::UnixDatagram;
 
 use ihd_fakes::free_address;
 
-use super::processes::{Kitchen, closed_pipe, daemon_command, ihd};
-use crate::process::{PATIENCE, Process, wait_for};
+use super::processes::{Kitchen, daemon_command, ihd};
+use crate::process::{PATIENCE, Process, closed_pipe, wait_for};
 
 #[test]
 fn a_signal_ends_it_in_order_with_the_hob_off() {

@@ -1,6 +1,5 @@
 //! A hob, a daemon and commands, each a process; they end with the test.
 
-use std::io::PipeWriter;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -117,12 +116,6 @@ pub fn daemon_command(config: &Path) -> Command {
         .args(["trainer", "--daemon", "--config"])
         .arg(config);
     command
-}
-
-/// Standard output or error whose reader is gone.
-pub fn closed_pipe() -> PipeWriter {
-    let (_, writer) = std::io::pipe().expect("a pipe");
-    writer
 }
 
 /// `ihd device …`: exit code, standard output, standard error.
