@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use ihd_identify::pooled::{self, PoolPhasors, PooledLaw};
+use ihd_identify::pooled::{self, PoolPhasors, PooledLaw, SharedSigma};
 use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, accuracy,
     reconstruction, run_preprocessed,
@@ -66,10 +66,10 @@ pub struct Examination {
     pub sensors: Vec<Remark>,
     /// Segments that were identified, in order of time.
     pub segments: Vec<Segment>,
-    /// One law of each segment from all of its half-cycles; `None` where there are fewer than two, or where R and L are not
-    /// functions of the current alone.
+    /// One law of each segment from all of its half-cycles; `None` where there are fewer than two, where R and L are not functions of
+    /// the current alone, or least squares is refused for more than noise.
     pub pooled: Vec<Option<PooledLaw>>,
-    /// Phasors of the segments whose R and L are functions of the current, to be pooled with those of other captures.
+    /// Phasors of the segments that have such a law, to be pooled with those of other captures.
     pub phasors: Vec<PoolPhasors>,
     /// Results, segment by segment, and method by method in the order of the options.
     pub outcomes: Vec<MethodResult>,
@@ -127,28 +127,8 @@ fn examine_samples(
     let (mut pooled, mut phasors) = (Vec::with_capacity(segments.len()), Vec::new());
     for (index, segment) in segments.iter().enumerate() {
         progress("reference", outcomes.len(), total);
-        let remarks = prepared.remarks_on(index, segment);
-        let known = prepared.take_interference(index);
-        // A short segment does not show its own noise.
-        let measured = || WhiteNoise::measure(segment).or_else(|| prepared.survey.noise());
-        let noise = prepared.survey.noise_of(index).unwrap_or_else(measured);
-        let preprocessing = Preprocessing::with_noise(segment, Some(noise));
-        let mut reference = ReferenceResults::compute(segment, &preprocessing, known);
-        let shared = prepared.shared_sigma(segment.f_sw_hz);
-        let judged = |estimate: &Estimate, reference: &ReferenceResults| {
-            judge(&Evidence {
-                remarks: &remarks,
-                segment,
-                estimate,
-                reference,
-                shared,
-            })
-        };
-        let is_lawful = (reference.least_squares.as_ref())
-            .is_ok_and(|estimate| is_law(&reference, &judged(estimate, &reference)));
-        let lawful = preprocessing.as_ref().ok().filter(|_| is_lawful);
-        let of_segment = lawful.map(|p| reference.take_phasors(segment, p.noise()));
-        let of_segment = of_segment.map(|phasors| phasors.with_shared(shared));
+        let mut examined = ExaminedSegment::new(&mut prepared, index, segment, request);
+        let of_segment = examined.take_phasors();
         pooled.push(of_segment.as_ref().and_then(|p| pooled_law(segment, p)));
         phasors.extend(of_segment);
         for &method in request.methods {
@@ -158,25 +138,7 @@ fn examine_samples(
                 truth: truth.as_ref(),
                 report: &mut |text| progress(&format!("{method}: {text}"), done, total),
             };
-            let known = (&preprocessing, &reference);
-            let mut result = identify(method, segment, known, request, &mut sink);
-            let judgement = match &result {
-                Ok(estimate) => judged(estimate, &reference),
-                Err(error) => judge_failure(&remarks, method, &error.to_string()),
-            };
-            if let Ok(estimate) = &mut result {
-                if request.reconstruct != Reconstruct::Waveforms {
-                    (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
-                }
-                // Only after the judgement: a deviation that all methods share explains no difference between them.
-                shared.widen(estimate);
-            }
-            outcomes.push(MethodResult {
-                method,
-                segment: index,
-                result,
-                judgement,
-            });
+            outcomes.push(examined.result_of(method, &mut sink));
         }
     }
     progress("", total, total);
@@ -190,36 +152,104 @@ fn examine_samples(
     })
 }
 
-/// Runs a method unless the reference has its result, and reconstructs the waveforms as far as requested.
-fn identify(
-    method: Method,
-    segment: &Segment,
-    (preprocessing, reference): (&Result<Preprocessing, SegmentError>, &ReferenceResults),
-    request: &ExamineOptions<'_>,
-    sink: &mut ProgressSink<'_>,
-) -> Result<Estimate, IdentifyError> {
-    let mut estimate = match reference.result_of(method, request.settings) {
-        Some(known) => known,
-        None => {
-            let preprocessing = preprocessing.as_ref().map_err(Clone::clone)?;
-            let least_squares = reference.least_squares_of(request.settings);
-            let settings = request.settings;
-            run_preprocessed(
-                method,
-                segment,
-                preprocessing,
-                least_squares,
-                settings,
-                sink,
-            )
+/// Segment with what every method's result is judged by.
+struct ExaminedSegment<'a> {
+    request: &'a ExamineOptions<'a>,
+    index: usize,
+    segment: &'a Segment,
+    remarks: Vec<Remark>,
+    preprocessing: Result<Preprocessing, SegmentError>,
+    reference: ReferenceResults,
+    /// Standard deviations by the sensors.
+    shared: SharedSigma,
+}
+
+impl<'a> ExaminedSegment<'a> {
+    fn new(
+        prepared: &mut PreparedCapture<'_>,
+        index: usize,
+        segment: &'a Segment,
+        request: &'a ExamineOptions<'a>,
+    ) -> Self {
+        let known = prepared.take_interference(index);
+        // A short segment does not show its own noise.
+        let measured = || WhiteNoise::measure(segment).or_else(|| prepared.survey.noise());
+        let noise = prepared.survey.noise_of(index).unwrap_or_else(measured);
+        let preprocessing = Preprocessing::with_noise(segment, Some(noise));
+        Self {
+            request,
+            index,
+            segment,
+            remarks: prepared.remarks_on(index, segment),
+            reference: ReferenceResults::compute(segment, &preprocessing, known),
+            preprocessing,
+            shared: prepared.shared_sigma(segment.f_sw_hz),
         }
-    }?;
-    match request.reconstruct {
-        Reconstruct::No => {}
-        Reconstruct::Errors => reconstruction::errors(segment, &mut estimate),
-        Reconstruct::Waveforms => reconstruction::complete(segment, &mut estimate),
     }
-    Ok(estimate)
+
+    fn judge(&self, estimate: &Estimate) -> Judgement {
+        judge(&Evidence {
+            remarks: &self.remarks,
+            segment: self.segment,
+            estimate,
+            reference: &self.reference,
+            shared: self.shared,
+        })
+    }
+
+    /// Takes the phasors to be pooled; `None` where least squares is refused for more than noise, or there is no law R(I), L(I).
+    fn take_phasors(&mut self) -> Option<PoolPhasors> {
+        let noise = self.preprocessing.as_ref().ok()?.noise();
+        let least_squares = self.reference.least_squares.as_ref().ok()?;
+        let is_lawful = is_law(&self.judge(least_squares));
+        let phasors = is_lawful.then(|| self.reference.take_phasors(self.segment, noise));
+        phasors.map(|phasors| phasors.with_shared(self.shared))
+    }
+
+    /// Runs a method, and judges its result.
+    fn result_of(&self, method: Method, sink: &mut ProgressSink<'_>) -> MethodResult {
+        let mut result = self.identify(method, sink);
+        let judgement = match &result {
+            Ok(estimate) => self.judge(estimate),
+            Err(error) => judge_failure(&self.remarks, method, &error.to_string()),
+        };
+        if let Ok(estimate) = &mut result {
+            if self.request.reconstruct != Reconstruct::Waveforms {
+                (estimate.v_hat_v, estimate.i_hat_a) = (Vec::new(), Vec::new());
+            }
+            // Only after the judgement: a deviation that all methods share explains no difference between them.
+            self.shared.widen(estimate);
+        }
+        MethodResult {
+            method,
+            segment: self.index,
+            result,
+            judgement,
+        }
+    }
+
+    /// Runs a method unless the reference has its result, and reconstructs the waveforms as far as requested.
+    fn identify(
+        &self,
+        method: Method,
+        sink: &mut ProgressSink<'_>,
+    ) -> Result<Estimate, IdentifyError> {
+        let (segment, settings) = (self.segment, self.request.settings);
+        let mut estimate = match self.reference.result_of(method, settings) {
+            Some(known) => known,
+            None => {
+                let preprocessing = self.preprocessing.as_ref().map_err(Clone::clone)?;
+                let known = self.reference.least_squares_of(settings);
+                run_preprocessed(method, segment, preprocessing, known, settings, sink)
+            }
+        }?;
+        match self.request.reconstruct {
+            Reconstruct::No => {}
+            Reconstruct::Errors => reconstruction::errors(segment, &mut estimate),
+            Reconstruct::Waveforms => reconstruction::complete(segment, &mut estimate),
+        }
+        Ok(estimate)
+    }
 }
 
 /// Findings of a load that is no function of the current alone.
@@ -228,11 +258,11 @@ const NO_LAW: [&str; 2] = ["load_moves", "load_step"];
 /// Finding that pooling reduces.
 const NOISE: &str = "uncertain";
 
-/// Returns `true` if nothing speaks against a law R(I), L(I), nor against what least squares has of it but noise.
-fn is_law(reference: &ReferenceResults, least_squares: &Judgement) -> bool {
-    let findings = || reference.remarks.iter().chain(&least_squares.findings);
+/// Returns `true` if nothing in the judgement of least squares but noise speaks against a law R(I), L(I).
+fn is_law(least_squares: &Judgement) -> bool {
     let is_error = |r: &Remark| r.severity == Severity::Error && r.code != NOISE;
-    !findings().any(|r| NO_LAW.contains(&r.code) || is_error(r))
+    let contradicts = |r: &Remark| NO_LAW.contains(&r.code) || is_error(r);
+    !least_squares.findings.iter().any(contradicts)
 }
 
 fn pooled_law(segment: &Segment, phasors: &PoolPhasors) -> Option<PooledLaw> {
