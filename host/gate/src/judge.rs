@@ -55,11 +55,18 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     }
     findings.extend(coverage(segment, estimate));
     findings.extend(plausibility(segment, estimate));
-    let agreement = agreement(evidence);
+    let apart = match &evidence.reference.least_squares {
+        Ok(reference) => comparison::differences(segment, estimate, reference),
+        Err(_) => Vec::new(),
+    };
+    let agreement = agreement(evidence, &apart);
     // A filter's σ follows from its tuning; if the reference agrees with the filter, the reference's σ is used instead.
     let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
     let harmless = |f: &HalfCycleRemark| f.remark.severity == Severity::Info || within(&f.remark);
-    let confirmed = agreement.iter().all(harmless) && is_compared(evidence);
+    // Only what shares points enough with least squares in every judged half-cycle.
+    let is_compared = evidence.reference.least_squares.is_ok()
+        && apart.len() == comparison::judged(segment).len();
+    let confirmed = is_compared && agreement.iter().all(harmless);
     let refuted = agreement
         .iter()
         .any(|f| f.remark.severity == Severity::Error);
@@ -69,13 +76,10 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     };
     let sigmas = match &evidence.reference.least_squares {
         Ok(_) if confirmed => known.clone(),
-        Ok(reference) if !refuted => within_reference(segment, estimate, reference, &known),
+        Ok(_) if !refuted => within_reference(segment, estimate, &apart, &known),
         _ => comparison::sigmas_pct(segment, estimate),
     };
-    let uncertain = match estimate.r_sigma_ohm.is_empty() && sigmas.is_empty() {
-        true => Vec::new(),
-        false => uncertainty(segment, &deviations(evidence, &sigmas, &known)),
-    };
+    let uncertain = uncertainty(evidence, &deviations(evidence, &sigmas, &known));
     if confirmed {
         // The network stopped at its limit of steps, but with the right result.
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
@@ -180,18 +184,6 @@ fn worse(values: [f64; 2], limits: [f64; 2]) -> (&'static str, f64, f64) {
     }
 }
 
-/// Returns `true` if least squares and the estimate share points enough in every judged half-cycle.
-fn is_compared(evidence: &Evidence<'_>) -> bool {
-    let Evidence {
-        segment, estimate, ..
-    } = *evidence;
-    let reference = evidence.reference.least_squares.as_ref();
-    reference.is_ok_and(|reference| {
-        let compared = comparison::differences(segment, estimate, reference);
-        compared.len() == comparison::judged(segment).len()
-    })
-}
-
 /// Deviations of the half-cycles: `own` by noise, of which least squares knows those in `known`.
 fn deviations(
     evidence: &Evidence<'_>,
@@ -224,7 +216,9 @@ struct Deviations {
 }
 
 /// Remarks on the deviations of the half-cycles; [`TOO_SHORT`] if a stub is all there is, and its deviation is large or unknown.
-fn uncertainty(segment: &Segment, deviations: &[Deviations]) -> Vec<HalfCycleRemark> {
+fn uncertainty(evidence: &Evidence<'_>, deviations: &[Deviations]) -> Vec<HalfCycleRemark> {
+    let segment = evidence.segment;
+    let states_sigma = !evidence.estimate.r_sigma_ohm.is_empty();
     let judged = comparison::judged(segment);
     let Some(first) = judged.first() else {
         let crossing_s = comparison::half_cycles(segment)
@@ -238,7 +232,7 @@ fn uncertainty(segment: &Segment, deviations: &[Deviations]) -> Vec<HalfCycleRem
         let Some(known) = known else {
             let text =
                 "too few points were identified for a standard deviation: capture at least 10 ms";
-            return Some(too_short(half.crossing_s, text));
+            return states_sigma.then(|| too_short(half.crossing_s, text));
         };
         let most = known.own_pct[0].max(known.own_pct[1]);
         match !first.is_whole() && most > MAX_SIGMA_PCT {
@@ -319,10 +313,9 @@ impl Deviations {
 fn within_reference(
     segment: &Segment,
     estimate: &Estimate,
-    reference: &Estimate,
+    differences: &[Difference],
     known: &[(f64, [f64; 2])],
 ) -> Vec<(f64, [f64; 2])> {
-    let differences = comparison::differences(segment, estimate, reference);
     let mut sigmas = comparison::sigmas_pct(segment, estimate);
     for (crossing_s, own) in &mut sigmas {
         let apart = differences.iter().find(|d| d.crossing_s == *crossing_s);
@@ -347,8 +340,8 @@ fn no_reference(reference: &ReferenceResults) -> Remark {
     )
 }
 
-/// Compares the estimate with least squares, and least squares with the lock-in, half-cycle by half-cycle.
-fn agreement(evidence: &Evidence<'_>) -> Vec<HalfCycleRemark> {
+/// Compares the estimate with least squares, of which it is `apart`, and least squares with the lock-in, half-cycle by half-cycle.
+fn agreement(evidence: &Evidence<'_>, apart: &[Difference]) -> Vec<HalfCycleRemark> {
     let Evidence {
         segment,
         estimate,
@@ -359,7 +352,7 @@ fn agreement(evidence: &Evidence<'_>) -> Vec<HalfCycleRemark> {
         return Vec::new();
     };
     let mut findings = Vec::new();
-    for apart in noticeable(&comparison::differences(segment, estimate, least_squares)) {
+    for apart in noticeable(apart) {
         findings.push(remark("disagreement", apart, |pct, name, from_s| {
             format!(
                 "{} differs from least squares by {pct:.1} % of {name} in the half-cycle from {from_s:.4} s: one of \

@@ -8,7 +8,7 @@ use ihd_gate::{
 };
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::pooled::SharedSigma;
-use ihd_identify::{IdentifyOptions as Methods, Method, Preprocessing};
+use ihd_identify::{Estimate, IdentifyOptions as Methods, Method, Preprocessing};
 use ihd_signal::{Capture, Segment, Severity};
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, Neighbour, RecordingChange, RecordingEvent};
@@ -342,4 +342,22 @@ fn a_load_that_least_squares_does_not_follow_is_unconfirmed() {
     };
     assert_eq!(codes(0.0), [""; 0]);
     assert!(codes(4e3).contains(&"unconfirmed"), "{:?}", codes(4e3));
+}
+
+/// Half a millisecond after a crossing holds no middle of a half-cycle, whether the method states σ or not.
+#[test]
+fn a_stretch_without_a_middle_is_too_short_by_a_method_without_deviations_too() {
+    let whole = swinging(0.0);
+    let segment = whole.part(0, whole.index_at(0.5e-3));
+    let reference = ReferenceResults::compute(&segment, &Preprocessing::new(&segment), None);
+    let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
+    (estimate.t_s, estimate.r_ohm, estimate.l_h) = (vec![0.25e-3], vec![3.0], vec![18e-6]);
+    let judgement = judge(&Evidence {
+        remarks: &[],
+        segment: &segment,
+        estimate: &estimate,
+        reference: &reference,
+        shared: SharedSigma::default(),
+    });
+    assert!(judgement.doubts().any(|d| d.code == "too_short"));
 }
