@@ -275,7 +275,7 @@ pub fn run_preprocessed(
 /// both can be compared. `preprocessing` is the segment's if it is known.
 ///
 /// # Errors
-/// As [`run`].
+/// Errors of [`run`].
 pub fn run_independently(
     method: Method,
     segment: &Segment,

@@ -174,7 +174,7 @@ fn what_was_asked_for_before_an_off_heats_no_more_and_what_is_asked_for_later_do
     assert!(!book.end_command(waiting) && !book.end_command(later));
 }
 
-/// Of a panel or of another host: nothing was requested under a lease.
+/// Nothing was requested under a lease: the power is a panel's or another host's.
 #[test]
 fn power_of_whomever_has_to_end_until_an_off_is_confirmed() {
     let now = Instant::now();

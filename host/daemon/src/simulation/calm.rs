@@ -2,10 +2,16 @@
 
 use std::sync::Arc;
 
+use ihd_model::Command;
+
+use super::hob::HOBS;
 use super::life::{configuration, paused_runtime, start, store_folder};
 use super::recovery::wait_until_working;
 use super::world::{HobKind, World};
 use crate::Daemon;
+
+/// Power of [`heat`].
+pub const POWER_W: u16 = 900;
 
 /// Runs `test` beside scripted hobs that have a working daemon.
 pub fn with_daemon(test: impl AsyncFnOnce(&Arc<World>, &Daemon)) {
@@ -19,6 +25,14 @@ pub fn with_daemon(test: impl AsyncFnOnce(&Arc<World>, &Daemon)) {
         test(&world, &daemon).await;
         world.end_life();
     });
+}
+
+/// Has the left hob heat with [`POWER_W`] under a lease of `ada`.
+pub async fn heat(daemon: &Daemon) {
+    let name = HOBS[0];
+    daemon.take_lease(name, "ada", false).await.unwrap();
+    let heat = Command::Power { power_w: POWER_W };
+    daemon.command(name, "ada", heat).await.expect("it heats");
 }
 
 /// Returns the requested power of the left hob now, in watt.

@@ -8,18 +8,21 @@ use ihd_shared::lookup::prior::prior;
 use ihd_store::ResultFilter;
 use tokio::time::sleep;
 
-use super::calm::{asked_w, with_daemon};
+use super::calm::{POWER_W, asked_w, heat, with_daemon};
 use super::disk::DiskState;
 use super::hob::HOBS;
+use super::world::World;
 use crate::daemon::Daemon;
 use crate::device::DeviceRequest;
 use crate::learning::LookupToPush;
 use crate::lease::LEASE_S;
 
-const POWER_W: u16 = 900;
-
-/// Fills the queue of a device's task with lookups of the learner, each of which waits a second for the silent store.
-fn flood_with_lookups(daemon: &Daemon, name: &str) {
+/// Silences the store, and fills the queue of a device's task with lookups of the learner, each of which waits a second for it.
+fn silence_store(world: &World, daemon: &Daemon, name: &str) {
+    world.disk.set(DiskState {
+        delay: Duration::from_secs(3_600),
+        ..DiskState::default()
+    });
     let requests = daemon.handle_of(name).unwrap().requests;
     tokio::spawn(async move {
         for version in 1.. {
@@ -42,14 +45,8 @@ fn a_store_that_does_not_answer_neither_ends_heating_nor_keeps_it_on() {
     with_daemon(async |world, daemon| {
         let name = HOBS[0];
         let lease = || async { daemon.take_lease(name, "ada", false).await.unwrap() };
-        lease().await;
-        let heat = Command::Power { power_w: POWER_W };
-        daemon.command(name, "ada", heat).await.expect("it heats");
-        world.disk.set(DiskState {
-            delay: Duration::from_secs(3_600),
-            ..DiskState::default()
-        });
-        flood_with_lookups(daemon, name);
+        heat(daemon).await;
+        silence_store(world, daemon, name);
         for _ in 0..12 {
             lease().await;
             sleep(Duration::from_secs(5)).await;
@@ -80,14 +77,8 @@ fn power_that_waited_for_too_long_is_not_carried_out_later() {
     with_daemon(async |world, daemon| {
         let name = HOBS[0];
         let lease = || async { daemon.take_lease(name, "ada", false).await.unwrap() };
-        lease().await;
-        let heat = Command::Power { power_w: POWER_W };
-        daemon.command(name, "ada", heat).await.expect("it heats");
-        world.disk.set(DiskState {
-            delay: Duration::from_secs(3_600),
-            ..DiskState::default()
-        });
-        flood_with_lookups(daemon, name);
+        heat(daemon).await;
+        silence_store(world, daemon, name);
         sleep(Duration::from_secs(5)).await;
         let asking = daemon.clone();
         let raised = tokio::spawn(async move {

@@ -1,16 +1,14 @@
 //! Command `off`: it precedes all other work, and no earlier request heats after it.
 
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ihd_model::{Command, DeviceState};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
 use ihd_store::{LookupRow, LookupState, StoreReader};
 
-use super::rig::{
-    Clock, PATIENCE, Rig, command_stored, let_hob_run, nap, power, until, until_state,
-};
+use super::rig::{Clock, Rig, command_stored, let_hob_run, nap, power, until, until_state};
 
 /// Number of commands that wait for the device's task; more than its queue holds.
 const WAITING: usize = 20;
@@ -127,11 +125,7 @@ async fn an_off_without_an_answer_is_tried_again_until_the_hob_is_off() {
     off.expect_err("nothing was answered");
     assert!(rig.bench().asked_w() > 0);
     rig.bench().mute.store(false, Ordering::Relaxed);
-    let deadline = Instant::now() + PATIENCE;
-    while rig.bench().asked_w() > 0 {
-        assert!(Instant::now() < deadline, "it heats on");
-        nap().await;
-    }
+    until(&daemon, |_| rig.bench().asked_w() == 0).await;
     daemon.stop().await;
 }
 

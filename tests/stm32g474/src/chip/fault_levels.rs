@@ -1,4 +1,4 @@
-//! What opens the bridge in hardware: comparators and external event 2 at HRTIM's fault inputs, and the system fault.
+//! Causes that open the bridge in hardware: comparators and external event 2 at HRTIM's fault inputs, and the system fault.
 
 use super::Chip;
 use super::hrtim::{ActiveFaults, takes_comparator, takes_event_2};

@@ -27,7 +27,7 @@ pub use hob::direct_opener;
 pub(in crate::cli) use list::HEALTH_WITHIN;
 use lookup::Offer;
 pub(in crate::cli) use text::{of_pot, one_line};
-pub(in crate::cli) use watch::event_text;
+pub(in crate::cli) use watch::{event_text, now_ms};
 
 /// Query and command devices: through the daemon if one is running, else directly.
 ///

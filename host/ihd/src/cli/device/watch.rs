@@ -154,7 +154,7 @@ fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
         };
         let Some(kind) = kind else { continue };
         let event = DaemonEvent {
-            at_ms: unix_ms(),
+            at_ms: now_ms(),
             device: direct.name().to_owned(),
             kind,
         };
@@ -167,7 +167,7 @@ fn watch_directly(direct: &mut Direct, json: bool) -> Result<()> {
 }
 
 /// Time of this machine in milliseconds since 1970, UTC.
-fn unix_ms() -> i64 {
+pub(in crate::cli) fn now_ms() -> i64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| since.as_millis() as i64)
 }

@@ -14,7 +14,7 @@ mod trend_charts;
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -89,7 +89,7 @@ impl WatchArgs {
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let mut dashboard = Dashboard::new(client.url(), self.device.clone());
-        dashboard.apply(FeedUpdate::Devices(devices), now_ms());
+        dashboard.apply(FeedUpdate::Devices(devices), device::now_ms());
         let (feed, updates) = Feed::start(client, self.device.clone());
         // From here on a panic restores the terminal before its message is printed.
         let mut terminal = ratatui::try_init().context("cannot set up this terminal")?;
@@ -97,12 +97,6 @@ impl WatchArgs {
         ratatui::try_restore().context("cannot restore this terminal")?;
         ended
     }
-}
-
-/// Time of this terminal in milliseconds since 1970, UTC.
-fn now_ms() -> i64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| since.as_millis() as i64)
 }
 
 fn watch(
@@ -130,7 +124,7 @@ fn watch(
                 _ => {}
             }
         }
-        let now_ms = now_ms();
+        let now_ms = device::now_ms();
         let mut heard = now_ms / 1000 != second;
         second = now_ms / 1000;
         while let Ok(updates) = updates.try_recv() {
