@@ -60,6 +60,8 @@ PARTS = {
     "bus_bottom": FRONT_END["bus_divider_bottom_ohm"],
     "bus_c": FRONT_END["bus_divider_pf"] * 1e-12,
     "turns": FRONT_END["current_transformer_turns"],
+    "ct_l": FRONT_END["current_transformer_mh"] / 1e3,
+    "ct_r": FRONT_END["current_transformer_mohm"] / 1e3,
     "burden": FRONT_END["burden_mohm"] / 1e3,
     "pin_r": FRONT_END["pin_ohm"],
     "pin_c_fast": FRONT_END["fast_pin_pf"] * 1e-12,
@@ -162,9 +164,7 @@ def values():
     row("crest voltage of one 64.9 kΩ", (v_r + 325 / 2) / n, "V", "")
     row("power of one 232 kΩ of the bus", 1e3 * (230 / n) ** 2 / p["bus_top"], "mW", "")
     row("burden's power at 54 A rms", (54 / p["turns"]) ** 2 * p["burden"], "W", "76 A / √2")
-    # A core with A_L of 2 µH or more; 3 Ω of winding.
-    l_ct = p["turns"] ** 2 * 2e-6
-    row("phase error of the transformer at 34 kHz", 1e3 * (p["burden"] + 3) / (2 * math.pi * F_MIN_HZ * l_ct), "mrad", "(4.12 + 3) Ω / (ω · 80 mH)")
+    row("phase error of the transformer at 34 kHz", 1e3 * (p["burden"] + p["ct_r"]) / (2 * math.pi * F_MIN_HZ * p["ct_l"]), "mrad", "(4.12 + 3) Ω / (ω · 80 mH)")
     row("bootstrap: time constant", p["r_boot"] * p["c_boot"] * 1e6, "µs", "10 Ω · 1 µF")
     row("bootstrap: droop for a gate charge of 200 nC", 200e-9 / p["c_boot"], "V", "")
     row("current that finishes an edge in the dead time", p["snubber"] * 325 / (DEAD_TIME_NS * 1e-9), "A", "13.6 nF · 325 V / 1 µs")

@@ -21,7 +21,7 @@ fn record(f_sw_hz: u32, noise: ConverterNoise) -> HalfCycle {
     let mains = SimulatedMains::new(50.0);
     let half_s = mains.half_cycle_s();
     let (pot, load) = (PotKind::Ferromagnetic.into(), LoadKind::Behavioural);
-    let adc = SimulatedAdc::new(noise, 7);
+    let adc = SimulatedAdc::of_board(noise, 7, 0.0);
     let mut plant =
         Plant::assemble(mains, pot, load, SupplyParts::NONE, adc).expect("a law has every pot");
     plant.set_drive(Drive::switching(f_sw_hz));

@@ -22,7 +22,7 @@ struct Scale {
     doc: &'static str,
 }
 
-const SCALES: [Scale; 8] = [
+const SCALES: [Scale; 9] = [
     Scale {
         key: "coil_voltage_full_scale_mv",
         part: "coil_divider_bottom_ohm",
@@ -40,6 +40,16 @@ const SCALES: [Scale; 8] = [
                 * p.value("current_transformer_turns")
         },
         doc: "Half the input range of the coil current's channel, in milliampere.",
+    },
+    Scale {
+        key: "current_transformer_tau_us",
+        part: "current_transformer_mh",
+        range: (500, 10_000_000),
+        number: |p| {
+            let ohm = (p.value("burden_mohm") + p.value("current_transformer_mohm")) * 1e-3;
+            p.value("current_transformer_mh") * 1e3 / ohm
+        },
+        doc: "Time constant of the current transformer's first-order high pass, its inductance by the resistance of winding and burden, in microseconds.",
     },
     Scale {
         key: "bus_full_scale_dv",
@@ -160,6 +170,8 @@ mod tests {
         for (name, expected, tolerance) in [
             ("COIL_VOLTAGE_FULL_SCALE_MV", 640_400, 50),
             ("COIL_CURRENT_FULL_SCALE_MA", 80_100, 5),
+            // 80 mH / 7.12 Ω.
+            ("CURRENT_TRANSFORMER_TAU_US", 11_236, 1),
             ("BUS_FULL_SCALE_DV", 4_980, 0),
             ("MAINS_FULL_SCALE_MV", 399_800, 50),
             ("ANTI_ALIAS_HZ", 503_700, 50),

@@ -73,6 +73,8 @@ values! {
         coil_divider_ohm: u32 10_000..=10_000_000, "Resistance of each chain of the coil voltage's divider, in ohm.";
         coil_divider_bottom_ohm: u32 10..=100_000, "Resistor below each of these chains, in ohm.";
         current_transformer_turns: u32 10..=10_000, "Turns of the current transformer's secondary winding, for one of its primary.";
+        current_transformer_mh: u32 1..=100_000, "Inductance of that winding, in millihenry.";
+        current_transformer_mohm: u32 0..=1_000_000, "Resistance of that winding, in milliohm.";
         burden_mohm: u32 100..=1_000_000, "Burden of the current transformer, in milliohm.";
         bus_divider_ohm: u32 10_000..=100_000_000, "Resistance of the bus divider's chain, in ohm.";
         bus_divider_bottom_ohm: u32 10..=1_000_000, "Resistor below that chain, in ohm.";

@@ -12,6 +12,7 @@ use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError as FileError, OpenOptions};
 use ihd_identify::accuracy::fundamental;
 use ihd_signal::TimeBase;
+use ihd_survey::calibration::transformer;
 use ihd_survey::{Hints, StatedRange};
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, ToPyArray};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -235,7 +236,11 @@ pub fn read(
     };
     let read = interruptible(py, |look| salvage_with(&path, &options, &mut |_| look()))?;
     let failed = |error: FileError| CaptureError::new_err(error.to_string());
-    let SalvagedCapture { capture, losses } = read.map_err(failed)?;
+    let SalvagedCapture {
+        mut capture,
+        losses,
+    } = read.map_err(failed)?;
+    transformer::equalise(&mut capture);
     if capture.is_empty() {
         return Err(failed(FileError::NoSamples { path, losses }));
     }

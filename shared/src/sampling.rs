@@ -14,7 +14,7 @@ pub const ADC_LOCK_Q: u32 = 3;
 
 pub use crate::board::{
     ANTI_ALIAS_HZ, COIL_CURRENT_FULL_SCALE_MA as I_FULL_SCALE_MA,
-    COIL_VOLTAGE_FULL_SCALE_MV as V_FULL_SCALE_MV,
+    COIL_VOLTAGE_FULL_SCALE_MV as V_FULL_SCALE_MV, CURRENT_TRANSFORMER_TAU_US,
 };
 
 /// Half the input range of the voltage channel, in volt.

@@ -10,6 +10,7 @@ use crate::protect::soft_limit::SoftLimitCheck;
 use crate::sampling::half_cycle::{ChannelDefects, CurrentCrest, HalfCycle};
 use crate::sense::bus::BusReading;
 use crate::sense::correlation::BlockSums;
+use crate::sense::current_transformer::true_power_mw;
 use crate::sense::demodulator::{Phasors, amplitude_ma, norm_of_ma};
 
 /// Half the input range of the coil voltage, in decivolt.
@@ -169,7 +170,8 @@ impl HalfCycleSums {
             // In 64 bits: a host may replay codes that no ADC has.
             ((i64::from(code) * i64::from(full_scale)) >> (CODE_BITS - 1)) as i32
         };
-        let power_mw = unfiltered(power_mw, sums.result.f_sw_hz);
+        let crest = &sums.result.crest;
+        let power_mw = true_power_mw(unfiltered(power_mw, sums.result.f_sw_hz), crest.r, crest.l);
         HalfCycle {
             power_mw: u32::try_from(power_mw).unwrap_or(u32::MAX),
             i_turn_off_min_ma: i32::MAX.wrapping_sub(sums.below_max_ma as i32),

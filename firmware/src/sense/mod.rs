@@ -10,6 +10,7 @@
 pub mod bus;
 pub mod codes;
 pub mod correlation;
+pub mod current_transformer;
 pub mod demodulator;
 pub mod dma_buffer;
 pub mod mains;

@@ -2,7 +2,7 @@
 
 use ihd_shared::sampling::{ADC_LOCK_Q, Pair, Scales, f_adc_hz};
 use ihd_shared::window::TrajectoryEntry;
-use ihd_signal::Segment;
+use ihd_signal::{Segment, current_transformer};
 
 /// Largest fraction of saturated pairs in a usable window: 0.1 %.
 ///
@@ -55,15 +55,18 @@ impl Window {
         entries.flat_map(|entry| entry.to_le_bytes()).collect()
     }
 
-    /// Converts the pairs to an estimator's input; time counts from the mains zero crossing.
+    /// Converts the pairs to an estimator's input; time counts from the mains zero crossing. The voltage gets the droop that the
+    /// current has from its transformer.
     pub fn segment(&self) -> Segment {
+        let mut v_v = self.v_volt();
+        current_transformer::droop(&mut v_v, self.dt_s(), current_transformer::BOARD_TAU_S);
         Segment {
             f_sw_hz: f64::from(self.f_sw_hz),
             mains_hz: self.f_mains_hz(),
             zero_crossing_s: 0.0,
             t0_s: f64::from(self.first_pair_ns) * 1e-9,
             dt_s: self.dt_s(),
-            v_v: self.v_volt().into(),
+            v_v: v_v.into(),
             i_a: self.i_ampere().into(),
         }
     }
@@ -73,14 +76,14 @@ impl Window {
         f_adc_hz(self.f_sw_hz).recip()
     }
 
-    /// Coil voltage, in volt.
+    /// Coil voltage, in volt, as it was sampled.
     pub fn v_volt(&self) -> Vec<f64> {
         let volt_per_code = self.scales.volt_per_code();
         let volt = |p: &Pair| f64::from(p.v) * volt_per_code;
         self.pairs.iter().map(volt).collect()
     }
 
-    /// Coil current, in ampere.
+    /// Coil current, in ampere, as it was sampled.
     pub fn i_ampere(&self) -> Vec<f64> {
         let ampere_per_code = self.scales.ampere_per_code();
         let ampere = |p: &Pair| f64::from(p.i) * ampere_per_code;

@@ -10,6 +10,7 @@ pub mod atomic;
 pub mod capture;
 pub mod carrier;
 pub mod correlation;
+pub mod current_transformer;
 pub mod interpolation;
 pub mod load;
 pub mod noise;

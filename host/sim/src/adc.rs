@@ -1,6 +1,10 @@
-//! The two ADC channels: anti-alias filter, noise, 12-bit codes, saturation.
+//! The two ADC channels: current transformer, anti-alias filter, noise, 12-bit codes, saturation.
 
-use ihd_shared::sampling::{AMPERE_PER_CODE, CODE_HALF_RANGE, Pair, VOLT_PER_CODE};
+use std::f64::consts::TAU;
+
+use ihd_shared::sampling::{
+    AMPERE_PER_CODE, CODE_HALF_RANGE, CURRENT_TRANSFORMER_TAU_US, Pair, VOLT_PER_CODE,
+};
 use ihd_signal::quantise::code;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -39,32 +43,40 @@ impl ConverterNoise {
     }
 }
 
-/// Anti-alias filters of coil voltage and current.
+/// Current transformer, and the anti-alias filters of coil voltage and current.
 #[derive(Clone, Copy, Debug)]
-pub struct AntiAlias {
+pub struct SensorFilters {
+    /// Magnetising current of the transformer as the primary's, in ampere, which the secondary lacks: the low pass that its high
+    /// pass leaves; `None` for a sensor that shows direct current.
+    magnetising: Option<LowPass>,
     filters: [LowPass; 2],
 }
 
-impl AntiAlias {
+impl SensorFilters {
     /// Creates filters at rest with a corner in hertz; 0 passes everything.
     fn new(corner_hz: f64) -> Self {
         Self {
+            magnetising: None,
             filters: [LowPass::settled(corner_hz, 0.0); 2],
         }
     }
 
     /// Sets the duration of a step, in seconds.
     pub fn set_step(&mut self, dt_s: f64) {
-        self.filters
-            .iter_mut()
-            .for_each(|filter| filter.set_step(dt_s));
+        let filters = self.filters.iter_mut().chain(&mut self.magnetising);
+        filters.for_each(|filter| filter.set_step(dt_s));
     }
 
     /// Advances by a step that ends with these coil voltage and current.
     #[inline(always)]
     pub fn step(&mut self, now: &Instant) {
         self.filters[0].step_mean(now.coil_mean_v, now.coil_v);
-        self.filters[1].step(now.i_a);
+        let mut i_a = now.i_a;
+        if let Some(magnetising) = &mut self.magnetising {
+            magnetising.step(i_a);
+            i_a -= magnetising.output();
+        }
+        self.filters[1].step(i_a);
     }
 
     /// Present outputs: voltage in volt, and current in ampere, at the pin of the comparators.
@@ -75,7 +87,8 @@ impl AntiAlias {
 
     /// Ends outputs that have decayed.
     pub fn end_decay(&mut self) {
-        self.filters.iter_mut().for_each(LowPass::end_decay);
+        let filters = self.filters.iter_mut().chain(&mut self.magnetising);
+        filters.for_each(LowPass::end_decay);
     }
 }
 
@@ -84,8 +97,8 @@ impl AntiAlias {
 pub struct SimulatedAdc {
     noise: ConverterNoise,
     rng: ChaCha8Rng,
-    /// Filters before it.
-    pub filters: AntiAlias,
+    /// Sensors and filters before it.
+    pub filters: SensorFilters,
 }
 
 impl SimulatedAdc {
@@ -94,15 +107,20 @@ impl SimulatedAdc {
         Self {
             noise,
             rng: ChaCha8Rng::seed_from_u64(seed),
-            filters: AntiAlias::new(0.0),
+            filters: SensorFilters::new(0.0),
         }
     }
 
-    /// Adds a first-order anti-alias filter with a corner in hertz to both channels, at rest.
-    pub fn with_filter(self, corner_hz: f64) -> Self {
+    /// Creates the ADC of this build's board with a noise and a seed: behind its current transformer, and anti-alias filters with a
+    /// corner in hertz, 0 for none.
+    pub fn of_board(noise: ConverterNoise, seed: u64, anti_alias_hz: f64) -> Self {
+        let corner_hz = 1e6 / (TAU * f64::from(CURRENT_TRANSFORMER_TAU_US));
         Self {
-            filters: AntiAlias::new(corner_hz),
-            ..self
+            filters: SensorFilters {
+                magnetising: Some(LowPass::settled(corner_hz, 0.0)),
+                ..SensorFilters::new(anti_alias_hz)
+            },
+            ..Self::new(noise, seed)
         }
     }
 
@@ -155,6 +173,36 @@ mod tests {
         assert_eq!(adc.convert(1.4 * VOLT_PER_CODE, 0.0), Pair { v: 1, i: 0 });
         assert!(adc.convert(f64::NAN, 0.0).is_saturated());
         assert!(adc.convert(0.0, f64::INFINITY).is_saturated());
+    }
+
+    /// 7.12 Ω over ω · 80 mH: the secondary's current leads by 0.417 mrad at 34 kHz, and a direct one decays in 11.24 ms.
+    #[test]
+    fn the_current_transformer_leads_and_shows_no_direct_current() {
+        let board = || SimulatedAdc::of_board(ConverterNoise::default(), 0, 0.0).filters;
+        let instant = |i_a| Instant {
+            i_a,
+            ..Instant::default()
+        };
+        let (mut ac, steps) = (board(), 400);
+        let step_rad = TAU / f64::from(steps);
+        ac.set_step(step_rad / (TAU * 34e3));
+        let mut lead = [0.0; 2];
+        // From the crest on no direct current comes in.
+        for k in 1..=20 * steps {
+            let (sin, cos) = (step_rad * f64::from(k)).sin_cos();
+            ac.step(&instant(cos));
+            if k > 19 * steps {
+                let i_a = ac.outputs()[1];
+                lead = [lead[0] - i_a * sin, lead[1] + i_a * cos];
+            }
+        }
+        let lead_mrad = 1e3 * lead[0].atan2(lead[1]);
+        assert!((lead_mrad - 0.4166).abs() < 1e-3, "{lead_mrad}");
+        let mut dc = board();
+        dc.set_step(11.236e-6);
+        (0..=1_000).for_each(|_| dc.step(&instant(50.0)));
+        let left = dc.outputs()[1] / 50.0;
+        assert!((left / (-1f64).exp() - 1.0).abs() < 2e-3, "{left}");
     }
 
     #[test]

@@ -385,8 +385,8 @@ impl Plant {
         self.inverter.dt_s()
     }
 
-    /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere behind the anti-alias
-    /// filter after every integration step, as a comparator sees it. The pot does not warm up.
+    /// Takes one sample and simulates until the next; `current` is called with the coil's current in ampere behind its sensor's
+    /// filters after every integration step, as a comparator sees it. The pot does not warm up.
     pub fn sample(&mut self, mut current: impl FnMut(f64)) -> Pair {
         self.adc.filters.end_decay();
         let start = self.adc.filters.outputs();
@@ -452,7 +452,7 @@ impl Plant {
     }
 
     /// Advances by up to `steps` integration steps, until a trip opens the bridge; returns the number done. `seen` gets the
-    /// quantities after each and the outputs of the anti-alias filters.
+    /// quantities after each and the outputs of the sensors' filters.
     fn advance(
         &mut self,
         bridge: Bridge,

@@ -14,7 +14,7 @@ use ihd_shared::wire::hello::{ROLE_DEVICE, ours};
 use ihd_shared::wire::messages::{
     FrontEnd, Message, Raw, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
-use ihd_signal::{Capture, FrequencyStep, TimeBase};
+use ihd_signal::{Capture, FrequencyStep, TimeBase, current_transformer};
 
 use super::clock::rfc3339;
 use super::{SessionRow, StoreError, StoreReader, WindowFilter, WindowRow};
@@ -182,6 +182,7 @@ pub fn capture(row: &WindowRow, window: &Window) -> Capture {
             note("window_seq", row.seq.to_string()),
             note("half_cycle", row.half_cycle.to_string()),
             note("stored", rfc3339(row.at_ms)),
+            current_transformer::metadata_entry(),
         ]),
     }
 }

@@ -39,7 +39,7 @@ const MIDDLE: f64 = CODE_HALF_RANGE as f64;
 /// Analogue front end of `ihd hob`: half an LSB of noise, with this seed, after its anti-alias filter.
 pub fn front_end(seed: u64) -> SimulatedAdc {
     let hob = HobConfig::default();
-    SimulatedAdc::new(hob.noise, seed).with_filter(hob.anti_alias_hz)
+    SimulatedAdc::of_board(hob.noise, seed, hob.anti_alias_hz)
 }
 
 /// Inputs of the converters at a trigger.

@@ -20,8 +20,7 @@ fn powered() -> (Bench, Cable) {
     let path = std::env::var_os("IHD_STM32G474_IMAGE")
         .expect("`cargo xtask test --only board` names the image");
     let plant = || {
-        let adc =
-            SimulatedAdc::new(ConverterNoise::default(), 1).with_filter(f64::from(ANTI_ALIAS_HZ));
+        let adc = SimulatedAdc::of_board(ConverterNoise::default(), 1, f64::from(ANTI_ALIAS_HZ));
         Plant::new(SimulatedMains::of_board(), PotKind::Ferromagnetic, adc)
     };
     let bench = Bench::power_up(&PathBuf::from(path), plant).expect("the image is built");

@@ -18,6 +18,7 @@ use ihd_firmware::sampling::half_cycle::{CurrentCrest, HalfCycle};
 use ihd_firmware::sampling::path::{AdcBlock, SamplingLock, SamplingPath};
 use ihd_firmware::sense::bus::BusReading;
 use ihd_firmware::sense::correlation::correlate_by;
+use ihd_firmware::sense::current_transformer::apparent_r;
 use ihd_firmware::sense::demodulator::{Demodulator, Phasors};
 use ihd_shared::lookup::RlLookup;
 use ihd_shared::lookup::prior::prior;
@@ -149,7 +150,7 @@ fn estimator() {
     );
     // Both filters see the same phasors: the counts compare the same work only where they end at the same load.
     let ratios = [
-        ekf.r().0 as f32 / (float.r_ohm() * 1e6),
+        (ekf.r().0 + apparent_r(ekf.l()).0) as f32 / (float.r_ohm() * 1e6),
         ekf.l().0 as f32 / (float.l_h() * 1e12),
     ];
     let agree = ratios.iter().all(|ratio| (ratio - 1.0).abs() <= 1e-3);

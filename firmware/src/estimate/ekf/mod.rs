@@ -26,6 +26,8 @@
 //! (`the_exact_jacobian_is_no_better` of tests/it/estimator.rs) and costs twice the instructions. Joseph's form is not needed: measured
 //! variances are formed without a subtraction, and P_ZZ has a floor (module `update`).
 //!
+//! Z is the load as the current transformer shows it; [`Ekf::r`] takes off what that adds.
+//!
 //! Formats: states carry 26 fractional bits in the units of [`crate::sense::demodulator`], covariances 29 in
 //! products of these units (±4, so ±1024 A² and ±16 ohm²). The f64 twin of this filter is in
 //! `tests/`, written from the equations above in real 4×4 matrices; the two agree within 0.1 %.
@@ -36,6 +38,7 @@ mod update;
 use ihd_shared::units::{MicroOhm, PicoHenry};
 
 use crate::fixed::{Complex, narrow, narrow_within, quotient, saturate, short_quotient, wide};
+use crate::sense::current_transformer::apparent_r;
 use crate::sense::demodulator::{Phasors, STATE_BITS};
 
 /// Fractional bits of covariances.
@@ -168,8 +171,8 @@ impl Ekf {
             at_bound: false,
         };
         // 2^26 per 2 ohm: 33.554432 per µΩ.
-        filter.r =
-            saturate((i64::from(r.0) * 33_554_432) / 1_000_000).clamp(R_BOUNDS.0, R_BOUNDS.1);
+        let apparent = i64::from(r.0) + i64::from(apparent_r(l).0);
+        filter.r = saturate((apparent * 33_554_432) / 1_000_000).clamp(R_BOUNDS.0, R_BOUNDS.1);
         filter.tune(f_sw_hz);
         filter.x = filter.x_of(l);
         filter
@@ -233,10 +236,11 @@ impl Ekf {
         self.at_bound = r != self.r || x != self.x;
     }
 
-    /// Resistance.
+    /// Resistance, from 10 milliohm on: the state's, less what the current transformer adds.
     pub fn r(&self) -> MicroOhm {
         // 2e6 µΩ per unit of 2^26: 15625 / 2^19.
-        MicroOhm(narrow_within(wide(self.r, 15_625), 19))
+        let apparent = narrow_within(wide(self.r, 15_625), 19);
+        MicroOhm((apparent - apparent_r(self.l()).0).max(10_000))
     }
 
     /// Inductance.

@@ -16,7 +16,7 @@ use ihd_shared::wire::deframer::Deframer;
 use ihd_shared::wire::frame::{MAX_ENCODED, encode};
 use ihd_shared::wire::hello::CAP_SIMULATED;
 use ihd_shared::wire::messages::{AnyMessage, FrontEnd, Hello, LookupBlob};
-use ihd_signal::TimeBase;
+use ihd_signal::{TimeBase, current_transformer};
 
 use super::McapFileError;
 use super::cdr;
@@ -102,6 +102,7 @@ impl SessionRecorder {
             note("device_build", hello.build.to_string()),
             note("device_boot_id", hello.boot_id.to_string()),
             note("device_simulated", simulated.to_string()),
+            current_transformer::metadata_entry(),
             note(
                 "protocol",
                 format!("{}.{}", hello.protocol_major, hello.protocol_minor),

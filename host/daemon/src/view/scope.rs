@@ -83,8 +83,8 @@ fn scope(
     let duration_s = n as f64 * dt_s;
     let first = first_pair(query.from_s, dt_s, n);
     let end = first_pair(query.to_s, dt_s, n).max(first);
-    let (v_v, i_a) = (window.v_volt(), window.i_ampere());
-    let (v_v, i_a) = (&v_v[first..end], &i_a[first..end]);
+    let segment = window.segment();
+    let (v_v, i_a) = (&segment.v_v[first..end], &segment.i_a[first..end]);
     let mut scope = Scope {
         boot: row.boot,
         seq: row.seq,

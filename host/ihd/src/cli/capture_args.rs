@@ -9,7 +9,7 @@ use ihd_capture::open::salvage_with;
 use ihd_capture::{CaptureError, OpenOptions, PartReader};
 use ihd_signal::Capture;
 use ihd_survey::SurveyError;
-use ihd_survey::calibration::{Calibration, METADATA_KEY};
+use ihd_survey::calibration::{Calibration, METADATA_KEY, transformer};
 
 use super::input_options::InputOptions;
 use super::usage::Usage;
@@ -94,6 +94,22 @@ impl CaptureArgs {
     /// # Errors
     /// Any error of [`CaptureArgs::open`].
     pub fn open_with(&self, progress: &mut dyn FnMut(f64)) -> Result<LoadedCapture> {
+        self.load(progress, &transformer::equalise)
+    }
+
+    /// Opens the capture as it was sampled, with the droop of a board's current transformer.
+    ///
+    /// # Errors
+    /// Any error of [`CaptureArgs::open`].
+    pub fn open_as_sampled(&self) -> Result<LoadedCapture> {
+        self.load(&mut |_| (), &|_| ())
+    }
+
+    fn load(
+        &self,
+        progress: &mut dyn FnMut(f64),
+        prepare: &dyn Fn(&mut Capture),
+    ) -> Result<LoadedCapture> {
         let options = self.options()?;
         let SalvagedCapture {
             mut capture,
@@ -106,6 +122,7 @@ impl CaptureArgs {
             }
             .into());
         }
+        prepare(&mut capture);
         if let Some(calibration) = self.calibration()? {
             apply(&calibration, &mut capture)?;
         }
@@ -258,6 +275,7 @@ impl CaptureParts {
         let (first, last) = (part.time.at(0), part.time.at(part.len() - 1));
         let start = self.span_s.map(|span| span.0).or(first);
         self.span_s = start.zip(last).or(self.span_s);
+        transformer::equalise(&mut part);
         if let Some(calibration) = &self.calibration {
             apply(calibration, &mut part)?;
         }

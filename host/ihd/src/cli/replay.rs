@@ -9,7 +9,7 @@ use ihd_signal::Capture;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::Survey;
-use ihd_train::replay::{ReplayOptions, ReplayReport, run};
+use ihd_train::replay::{ReplayOptions, ReplayReport, board_segments, run};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
@@ -60,13 +60,13 @@ impl ReplayArgs {
             "--speed must lie between 0.001 and 1000"
         );
         self.capture.input()?.refuse(&["resonance-capacitance"])?;
-        let loaded = self.capture.open()?;
+        let loaded = self.capture.open_as_sampled()?;
         loaded.finish(self.replay(&loaded.capture, global.json))
     }
 
     fn replay(&self, capture: &Capture, json: bool) -> Result<()> {
         let survey = Survey::from_capture(capture, &self.capture.input()?.hints())?;
-        let segments = survey.segments(capture);
+        let segments = board_segments(capture, survey.segments(capture));
         let settings = ReplayOptions {
             speed: self.speed,
             ..ReplayOptions::default()

@@ -15,6 +15,7 @@ use ihd_signal::printable::printable;
 use ihd_sim::hob::{HobConfig, SimHob};
 use ihd_sim::transport::SharedHob;
 use ihd_survey::{Hints, Survey};
+use ihd_train::replay::board_segments;
 use ihd_train::{
     RecordedHalfCycle, RunFailure, RunOptions, RunProgress, RunReport, TrainingSource, TruthSource,
     run,
@@ -231,7 +232,7 @@ impl TrainerArgs {
         };
         let capture = open(path, &OpenOptions::default())?;
         let survey = Survey::from_capture(&capture, &Hints::default())?;
-        let segments = survey.segments(&capture);
+        let segments = board_segments(&capture, survey.segments(&capture));
         let half_cycles: Vec<_> = segments
             .iter()
             .flat_map(|segment| RecordedHalfCycle::half_cycles(segment, scales, &capture.truth))

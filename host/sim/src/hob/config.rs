@@ -98,7 +98,7 @@ impl HobConfig {
     /// # Errors
     /// If there is no model of the pot, or no such parts of the supply.
     pub fn plant(&self) -> Result<Plant, InverterError> {
-        let adc = SimulatedAdc::new(self.noise, self.seed).with_filter(self.anti_alias_hz);
+        let adc = SimulatedAdc::of_board(self.noise, self.seed, self.anti_alias_hz);
         let mains_v = match self.bench_supply_v {
             Some(_) => BENCH_TRANSFORMER_V,
             None => self.mains_v,

@@ -13,6 +13,7 @@ pub mod blind;
 mod delay;
 mod estimate;
 mod reference;
+pub mod transformer;
 
 use std::path::{Path, PathBuf};
 

@@ -12,4 +12,4 @@ pub mod stretch;
 
 pub use compare::{ReplayDifference, ReplayReport};
 pub use run::{ReplayError, ReplayOptions, run};
-pub use stretch::Stretch;
+pub use stretch::{Stretch, board_segments};

@@ -2,9 +2,8 @@
 
 use ihd_shared::hob::{BUS_PEAK_V, F_SW_MAX_HZ, F_SW_MIN_HZ};
 use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q, CODE_BITS, Pair, Scales};
-use ihd_signal::Segment;
-use ihd_signal::TimeBase;
 use ihd_signal::resample::{AdcGrid, adc_pairs};
+use ihd_signal::{Capture, Segment, TimeBase, current_transformer};
 
 /// Relative difference of a capture's rate from the ADC's up to which it is not resampled: over a half-cycle it drifts by less than a
 /// sample.
@@ -17,6 +16,14 @@ pub enum Omitted {
     Frequency,
     /// It is shorter than a block.
     Short,
+}
+
+/// Returns segments of a capture as this build's board samples them: the current behind its transformer, unless a board recorded it.
+pub fn board_segments(capture: &Capture, segments: Vec<Segment>) -> Vec<Segment> {
+    match current_transformer::tau_s(capture) {
+        Some(_) => segments,
+        None => segments.iter().map(current_transformer::sampled).collect(),
+    }
 }
 
 /// Whole blocks of pairs at one switching frequency.

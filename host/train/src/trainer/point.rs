@@ -88,8 +88,9 @@ pub fn errors(
 
 /// Mean power of the window's half-cycle in watt, before the anti-alias filters.
 fn mean_power_w(window: &Window) -> f64 {
-    let energy = |(v, i): (f64, f64)| v * i * window.dt_s();
-    let pairs = window.v_volt().into_iter().zip(window.i_ampere());
+    let segment = window.segment();
+    let energy = |(v, i): (&f64, &f64)| v * i * segment.dt_s;
+    let pairs = segment.v_v.iter().zip(segment.i_a.iter());
     let filtered_w = pairs.map(energy).sum::<f64>() / (f64::from(window.half_cycle_ns) * 1e-9);
     filtered_w * anti_alias_loss(f64::from(window.f_sw_hz)).powi(2)
 }

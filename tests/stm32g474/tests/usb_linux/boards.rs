@@ -25,7 +25,7 @@ impl Board {
     /// Runs the image as fast as possible on a chip whose unique number begins with `unique`.
     pub fn emulated(image: &Path, unique: u8) -> anyhow::Result<Self> {
         let filtered = |seed| {
-            SimulatedAdc::new(ConverterNoise::default(), seed).with_filter(f64::from(ANTI_ALIAS_HZ))
+            SimulatedAdc::of_board(ConverterNoise::default(), seed, f64::from(ANTI_ALIAS_HZ))
         };
         let plant = move || {
             Plant::new(
