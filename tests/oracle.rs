@@ -79,13 +79,15 @@ const IMPEDANCE_BY_CURRENT: f64 = 0.6 * 0.6;
 const CEILING: f64 = 1.0;
 /// Floor of the variance of R and X, in ohm².
 const FLOOR: f64 = 1e-5;
+/// Time constant of the current transformer in seconds: 80 mH over 7.12 ohm. R appears larger by L over it.
+const TRANSFORMER_S: f64 = 0.08 / 7.12;
 
 impl Ekf {
     /// A filter that expects R in ohm and L in henry.
     pub fn new(f_sw_hz: u32, r_ohm: f64, l_h: f64, jacobian: Jacobian) -> Self {
         let omega = TAU * f64::from(f_sw_hz);
         Self {
-            x: Vector4::new(0.0, 0.0, r_ohm, omega * l_h),
+            x: Vector4::new(0.0, 0.0, r_ohm + l_h / TRANSFORMER_S, omega * l_h),
             p: Matrix4::from_diagonal(&Vector4::new(MEASUREMENT, MEASUREMENT, CEILING, CEILING)),
             omega,
             held: true,
@@ -95,7 +97,8 @@ impl Ekf {
 
     /// R in ohm and L in henry.
     pub fn r_l(&self) -> (f64, f64) {
-        (self.x[2], self.x[3] / self.omega)
+        let l_h = self.x[3] / self.omega;
+        (self.x[2] - l_h / TRANSFORMER_S, l_h)
     }
 
     /// One block: V known, I measured, in volt and ampere.
