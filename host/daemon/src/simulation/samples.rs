@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use ihd_shared::sampling::{Pair, Scales, f_adc_hz};
-use ihd_signal::Load;
+use ihd_signal::{Load, current_transformer};
 
 /// Switching frequency in hertz.
 pub const F_SW_HZ: u32 = 45_000;
@@ -33,7 +33,7 @@ pub fn without_load() -> Vec<u8> {
     (0..61).flat_map(pair).collect()
 }
 
-/// Returns the pairs of a half-cycle with [`LOAD`]: v = R·i + L·di/dt.
+/// Returns the pairs of a half-cycle with [`LOAD`]: v = R·i + L·di/dt, the current behind the board's transformer.
 pub fn with_load() -> Vec<u8> {
     let scales = Scales::OF_THIS_BUILD;
     let (omega, mains) = (TAU * f64::from(F_SW_HZ), PI / HALF_S);
@@ -46,10 +46,12 @@ pub fn with_load() -> Vec<u8> {
         let i_a = CREST_A * envelope * (omega * t_s).sin();
         let di_a_s =
             CREST_A * (slope * (omega * t_s).sin() + envelope * omega * (omega * t_s).cos());
-        let v_v = LOAD.r_ohm * i_a + LOAD.l_h * di_a_s;
-        pair(v_v / scales.volt_per_code(), i_a / scales.ampere_per_code())
+        (LOAD.r_ohm * i_a + LOAD.l_h * di_a_s, i_a)
     };
-    (0..61 * blocks).flat_map(at).collect()
+    let (v_v, mut i_a): (Vec<f64>, Vec<f64>) = (0..61 * blocks).map(at).unzip();
+    current_transformer::droop(&mut i_a, rate_hz.recip(), current_transformer::BOARD_TAU_S);
+    let code = |(v_v, i_a)| pair(v_v / scales.volt_per_code(), i_a / scales.ampere_per_code());
+    v_v.into_iter().zip(i_a).flat_map(code).collect()
 }
 
 fn pair(v_code: f64, i_code: f64) -> [u8; 4] {

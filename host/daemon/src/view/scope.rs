@@ -84,7 +84,8 @@ fn scope(
     let first = first_pair(query.from_s, dt_s, n);
     let end = first_pair(query.to_s, dt_s, n).max(first);
     let segment = window.segment();
-    let (v_v, i_a) = (&segment.v_v[first..end], &segment.i_a[first..end]);
+    let load = (&segment.v_v[first..end], &segment.i_a[first..end]);
+    let sampled_v = window.v_volt();
     let mut scope = Scope {
         boot: row.boot,
         seq: row.seq,
@@ -97,13 +98,13 @@ fn scope(
         saturated: u32::from(window.saturated),
         from_s: first as f64 * dt_s,
         to_s: end as f64 * dt_s,
-        measured: measure(v_v, i_a, f64::from(window.f_sw_hz)),
+        measured: measure(load.0, load.1, f64::from(window.f_sw_hz)),
         ekf: ekf(window),
         ..Scope::default()
     };
     decimate(
         &mut scope,
-        (v_v, i_a),
+        (&sampled_v[first..end], load.1),
         query.columns,
         first as f64 * dt_s,
         dt_s,
