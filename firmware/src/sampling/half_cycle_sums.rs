@@ -3,9 +3,9 @@
 use ihd_shared::sampling::{
     ADC_LOCK_P, ANTI_ALIAS_HZ, CODE_BITS, I_FULL_SCALE_MA, Pair, V_FULL_SCALE_MV,
 };
+use ihd_shared::window::TrajectoryEntry;
 use ihd_shared::wire::messages::Limit;
 
-use crate::estimate::ekf::Ekf;
 use crate::protect::soft_limit::SoftLimitCheck;
 use crate::sampling::half_cycle::{ChannelDefects, CurrentCrest, HalfCycle};
 use crate::sense::bus::BusReading;
@@ -141,15 +141,15 @@ impl HalfCycleAccumulator {
         self.result.disturbed = true;
     }
 
-    /// Adds one estimate.
-    pub fn add_estimate(&mut self, z: &Phasors, ekf: &Ekf, bus: &BusReading) {
+    /// Adds one estimate that was not held.
+    pub fn add_estimate(&mut self, z: &Phasors, load: TrajectoryEntry, bus: &BusReading) {
         let norm = z.i.norm_squared();
-        if norm > self.crest_norm && !ekf.is_held() {
+        if norm > self.crest_norm {
             self.crest_norm = norm;
             self.result.crest.phasors = *z;
             self.result.crest.bus = *bus;
-            self.result.crest.r = ekf.r();
-            self.result.crest.l = ekf.l();
+            self.result.crest.r = load.r;
+            self.result.crest.l = load.l;
         }
     }
 }

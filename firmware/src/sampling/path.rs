@@ -273,12 +273,14 @@ impl<M: PairArithmetic> SamplingPath<M> {
         }
         let phasors = self.demodulator.push(sums)?;
         self.ekf.step(&phasors);
-        let running = self.half_cycles.running();
-        running.add_estimate(&phasors, &self.ekf, bus);
         let entry = TrajectoryEntry {
             r: self.ekf.r(),
             l: self.ekf.l(),
         };
+        if !self.ekf.is_held() {
+            let running = self.half_cycles.running();
+            running.add_estimate(&phasors, entry, bus);
+        }
         let delay_blocks = self.demodulator.delay_blocks();
         self.recorder
             .estimate(entry, self.clock.block_ns(), delay_blocks);
