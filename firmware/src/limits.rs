@@ -99,7 +99,7 @@ limits! {
     /// Shortage of turn-off current, summed over blocks for each switch, that raises the frequency: a turn-off at zero current at
     /// 325 V has it after six blocks (0.2 to 0.5 ms, at most 36 edges of 1 mJ), a lead by 26 A after one.
     SOFT_TURN_OFF_SHORTAGE_MA: i32 = 32_000, "mA·blocks";
-    /// Bus voltage below which a hard edge costs less than 7 µJ and turn-off current is not checked.
+    /// Bus voltage below which a hard edge costs less than 19 µJ and turn-off current is not checked.
     SOFT_SWITCHING_FROM_DV: u16 = 500, "dV";
     /// Smallest step of the frequency at a soft limit.
     SOFT_STEP_PERMILLE: u32 = 80, "permille";
@@ -237,7 +237,7 @@ limits! {
     /// Consecutive readings of the reference, one every 4 ms, that stop heating outside this range and permit it within.
     SUPPLY_READINGS: u8 = 3, "readings";
     /// Time without a block after which hardware opens both switches: a block lasts 88 µs at the lowest frequency, and a thread that
-    /// copies a chunk holds it up for 5 µs.
+    /// copies a chunk holds it up for 4 µs.
     SAMPLING_WATCHDOG_US: u32 = 500, "µs";
     /// Time that the control loop stands still after which the watchdog resets it, the outputs being off from then on. What must be
     /// faster is in hardware.
