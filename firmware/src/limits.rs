@@ -158,7 +158,7 @@ limits! {
     SECOND_PAUSE_MS: u32 = 1_000, "ms";
     /// Pause after a fault of the mains, or one that lasts as long as its cause; it costs no try.
     MAINS_PAUSE_MS: u32 = 200, "ms";
-    /// Half-cycles with power and without a trip that give a try back.
+    /// Half-cycles with power, of one run without a trip or a pot that goes, that give a try back.
     GOOD_RUN_HALF_CYCLES: u16 = 1_000, "half-cycles";
     /// Margin above the tripping frequency at which the next search begins.
     RESUME_ABOVE_PERCENT: u32 = 15, "%";

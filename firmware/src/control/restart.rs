@@ -8,8 +8,8 @@
 //!
 //! Every start passes [`RestartPolicy::permits`], from panel and host alike. A lock-out ends when a person switches off
 //! and on at the panel, or takes the mains away; nothing that comes over the link ends it, brings a
-//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Each ten seconds of power without a trip give a
-//! try back.
+//! try back or makes a pause shorter, a reset included ([`crate::retained::control`]). Ten seconds of power in one run give a try back:
+//! off, a trip or a pot that goes begin it anew.
 
 use ihd_shared::fault::{Fault, RestartClass};
 
