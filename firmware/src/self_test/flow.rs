@@ -6,10 +6,10 @@ use crate::drive::pwm::CORE_HZ;
 pub const WINDOW_CYCLES: u32 = CORE_HZ / 10;
 
 /// Difference between the time that blocks should have taken and the time that passed, in per mille. Two lost blocks a
-/// half-cycle, which are allowed, are 9 at 34 kHz; a block of another frequency at a step is 1.
+/// half-cycle of 50 Hz, which are allowed, are 18 at 34 kHz; a block of another frequency at a step is 1.
 const MAX_OFF_PERMILLE: u32 = 50;
 
-/// Turns of housekeeping in a window: on the emulated chip there are some 2 000, the longest pause is 0.6 ms
+/// Turns of housekeeping in a window: on the emulated chip there are some 2 000, the longest pause is 0.5 ms
 /// (docs/board.md).
 const MIN_TURNS: u32 = 50;
 

@@ -3,9 +3,8 @@
 /// Blocks between two feedings: 2.4 ms at 80 kHz, 5.7 ms at 34 kHz.
 const PERIOD_BLOCKS: u32 = 64;
 
-/// Most blocks that housekeeping may be behind: 60 ms at 80 kHz. The longest that it was away on the
-/// emulated chip is 11 ms at two cycles an instruction (docs/board.md). Who is later than five times
-/// that is not in control.
+/// Most blocks from one feeding to the next: 60 ms at 80 kHz. The longest time on the emulated chip is 4.3 ms, at two cycles an
+/// instruction (docs/board.md). Housekeeping that is later is not in control.
 const MAX_BLOCKS_BEHIND: u32 = 1_600;
 
 /// Feeds the watchdog of a control loop that is whole.
@@ -15,8 +14,8 @@ pub struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// Takes the number of blocks since boot, each time housekeeping has run; whether to feed.
-    /// Without new blocks it never does, nor after housekeeping has stood still for too long.
+    /// Takes the number of blocks since boot, each time housekeeping has run; returns `true` if the watchdog is to be fed: never
+    /// without new blocks, nor after housekeeping has stood still for too long.
     pub fn beat(&mut self, blocks: u32) -> bool {
         let since = blocks.wrapping_sub(self.fed_at);
         if since > MAX_BLOCKS_BEHIND {
