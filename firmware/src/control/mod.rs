@@ -10,7 +10,7 @@
 //! | LockedOut | tries used up, or a fault of the controller | a person switches off and on |
 //!
 //! 0 W leads from Probing, Heating and WaitingForPot to Idle at once; it comes from panel and host
-//! ([`request`]), from a host that is silent for 10 s, from replay mode, and from a cooking time that is over ([`cooking_times`]). A fault leads from
+//! ([`request`]), from a host that is silent for 10 s or clears a fault, and from a cooking time that is over ([`cooking_times`]). A fault leads from
 //! any state to Pausing or LockedOut, as [`restart`] decides, which every start passes too. In
 //! Heating the bridge is off between bursts ([`burst`]), and while a second zone has the supply ([`supply_share`]).
 //!

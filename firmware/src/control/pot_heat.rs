@@ -9,8 +9,8 @@
 //!
 //! but for what the lag changes within its own time. c is 8.1 kJ/m²K (4 mm of glass ceramic), g 43 W/m²K, τ 10 s. h is unknown: a flat base
 //! has some 230 W/m²K. Half of it is assumed: c/h + τ = 80 s, g/h = 3/8. A flatter base is then taken for hotter than it is, the more the faster it
-//! heats: an empty pan is slowed from 180 °C on, and held near 230 °C. A base with less than half of that conductance (feet, a mat)
-//! is taken for colder: the limits of [`super::temperature`] remain.
+//! heats: an empty pan on a flat one is slowed from 172 °C on, and gets to 254 °C (docs/control.md). A base with less than half of that
+//! conductance (feet, a mat) is taken for colder: the limits of [`super::temperature`] remain.
 //!
 //! Keeping warm needs no bound but the temperature itself, which changes slowly: T_base = T_sensor + g/h (T_sensor − T_room), with a
 //! contact of .8 (g/h = .24). From half of a flat base's contact to one and a half the sensor differs by 7 °C at 70 °C.
