@@ -117,9 +117,9 @@ fault_table! {
     /// The samples repeat themselves to the last bit.
     SAMPLES_FROZEN = 19 "SamplesFrozen" Trip:
         "the same samples come again and again; check the ADC trigger and DMA";
-    /// Mains frequency outside 45 to 66 Hz, or zero crossings that are missing or misplaced.
+    /// Mains frequency outside 44 to 66 Hz, or zero crossings that are missing or misplaced.
     MAINS_IRREGULAR = 20 "MainsIrregular" Passing:
-        "mains outside 45 to 66 Hz, or its zero crossings are missing or late; check mains and crossing \
+        "mains outside 44 to 66 Hz, or its zero crossings are missing or late; check mains and crossing \
          detector";
     /// The bridge switches and no current flows.
     NO_COIL_CURRENT = 21 "NoCoilCurrent" Trip:

@@ -7,7 +7,7 @@ wire_enum! {
     pub enum State {
         /// Inverter off, waiting for a power request.
         Idle = 0,
-        /// A few half-cycles at the highest frequency to see what stands on the coil.
+        /// Pot probe: a part of a half-cycle at the highest frequency, to see what stands on the coil.
         Probing = 1,
         /// Regulating power.
         Heating = 2,
