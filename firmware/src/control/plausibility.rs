@@ -46,7 +46,7 @@ const RIPPLE_SHARE_PER_DV: i64 =
 /// Share of the bare coil's L that no error of a gain leaves: below, metal stands there.
 const METAL_L_PERCENT: u32 = 75;
 
-/// Below this power the two powers are not compared: 200 W.
+/// Power from which on the two powers are compared: 200 W.
 const POWER_FROM_MW: u32 = 200_000;
 
 /// Contradictions between the measurements, each counted in half-cycles that it lasts.
@@ -73,7 +73,7 @@ impl ContradictionCount {
         self.push_if(true, bad)
     }
 
-    /// A half-cycle that shows nothing neither counts nor ends the count.
+    /// Counts a half-cycle; one that shows nothing neither counts nor ends the count. Returns `true` once enough in a row were bad.
     fn push_if(&mut self, shows: bool, bad: bool) -> bool {
         if shows {
             self.0 = if bad { self.0.saturating_add(1) } else { 0 };

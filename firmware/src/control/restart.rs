@@ -125,7 +125,7 @@ impl RestartPolicy {
         }
     }
 
-    /// Never makes a pause shorter.
+    /// Pauses for so long, or until the end of the pause under way if that is later.
     fn not_before(&mut self, now_ms: u32, pause_ms: u32) {
         let at = now_ms.wrapping_add(pause_ms);
         if self

@@ -12,7 +12,7 @@ use crate::limits::{
     GLASS_OFF_C, SINK_DERATE_C, SINK_OFF_C,
 };
 
-/// A constant would be copied wherever it is used.
+/// Codes of the board's sensors; a constant would be copied wherever it is used.
 static CODES: [[u16; ENTRIES]; 3] = NTC_CODES;
 const ENTRIES: usize = NTC_CODES[0].len();
 

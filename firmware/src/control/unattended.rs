@@ -67,7 +67,7 @@ impl Unattended {
         }
     }
 
-    /// A person touched the panel.
+    /// Gives the allowance back whole: a person has touched the panel.
     pub fn touched(&mut self) {
         self.used = 0;
     }

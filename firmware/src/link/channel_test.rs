@@ -78,7 +78,7 @@ pub struct ChannelTest {
 }
 
 impl ChannelTest {
-    /// Nothing yet.
+    /// Begins with nothing measured.
     pub fn begin(now_ms: u32) -> Self {
         let none = Moments::default();
         Self {

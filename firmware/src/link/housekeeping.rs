@@ -145,7 +145,7 @@ impl Housekeeping {
 
 /// Readings and touches from the board.
 impl Housekeeping {
-    /// A person touches the panel.
+    /// Takes a person's touch of the panel.
     pub fn panel(&mut self, lock: &mut impl SamplingLock, event: PanelEvent) {
         if self.service.is_leaving() {
             return;
@@ -168,14 +168,14 @@ impl Housekeeping {
         self.act(lock, action);
     }
 
-    /// A reading of the chip's reference voltage, some hundred times a second; returns the correction of every reading from
-    /// now on.
+    /// Takes a reading of the chip's reference voltage, some hundred times a second; returns the correction of every reading
+    /// from now on.
     pub fn set_reference(&mut self, reference: Reference) -> SupplyScale {
         self.control.set_reference(reference);
         self.control.supply_scale()
     }
 
-    /// Codes of the temperature sensors, some hundred times a second.
+    /// Takes the codes of the temperature sensors, up to a thousand times a second.
     pub fn set_temperatures(&mut self, codes: TemperatureCodes) {
         self.control.set_temperatures(codes);
     }
@@ -183,7 +183,7 @@ impl Housekeeping {
 
 /// Turns, after each block.
 impl Housekeeping {
-    /// To be called after each block: control, telemetry, faults. One step of the search for a
+    /// Runs control, telemetry and faults; to be called after each block. One step of the search for a
     /// frequency is the longest it does.
     #[inline(never)]
     pub fn poll(&mut self, lock: &mut impl SamplingLock) {

@@ -72,7 +72,7 @@ impl LogRing<'_> {
         }
     }
 
-    /// Ends it; whether it found room.
+    /// Ends it; returns `true` if it found room.
     pub fn end(&self, frame: RingFrame) -> bool {
         if frame.fits {
             self.write.store(frame.at, Ordering::Release);

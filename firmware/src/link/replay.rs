@@ -142,7 +142,7 @@ impl Replay {
     }
 }
 
-/// One block, one short claim on the sampling path. `crossing` counts from the block's first pair.
+/// Replays one block, in one short claim on the sampling path. `crossing` counts from the block's first pair.
 fn replay_one(
     lock: &mut impl SamplingLock,
     bytes: &[u8],

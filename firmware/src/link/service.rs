@@ -42,7 +42,7 @@ pub trait BoardServices {
     fn comparators(&mut self) -> Option<Comparators> {
         None
     }
-    /// Begins to count the clocks; false where there are none.
+    /// Begins to count the clocks; returns `false` where there are none.
     fn begin_clocks(&mut self) -> bool {
         false
     }
@@ -117,12 +117,12 @@ impl Service {
         core::mem::take(&mut self.received).counts()
     }
 
-    /// Begins a restart into a program; false while another job is under way.
+    /// Begins a restart into a program; returns `false` while another job is under way.
     pub fn begin_restart(&mut self, number: Number, into: Program) -> bool {
         self.begin(number, ServiceJob::Restart(into))
     }
 
-    /// Begins a test of the board; false while another job is under way.
+    /// Begins a test of the board; returns `false` while another job is under way.
     pub fn begin_test(&mut self, number: Number, test: BoardTest) -> bool {
         self.begin(number, ServiceJob::Test(test))
     }

@@ -189,7 +189,7 @@ fn start(
     frames.write(&start, out)
 }
 
-/// The pairs from `offset` on, as many as a chunk takes; how many, and the frame's length.
+/// Writes the pairs from `offset` on, as many as a chunk takes; returns how many, and the frame's length.
 #[inline(never)]
 fn pairs(
     seq: u32,

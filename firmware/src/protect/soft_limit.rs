@@ -46,12 +46,12 @@ const _: () = assert!(
     (3 * AFTER_UPPER) % ADC_LOCK_P == 31 && AT_LOWER == 0 && (3 * AFTER_LOWER) % ADC_LOCK_P == 1
 );
 
-/// Below this amplitude of the block's current resonance is not checked: 3 A.
+/// Amplitude of the block's current from which on resonance is checked: 3 A.
 const MIN_CURRENT_CODE: f64 = 3.0 / AMPERE_PER_CODE;
 
 const MIN_NORM: i64 = norm(MIN_CURRENT_CODE);
 
-/// Below this amplitude a block counts by its current squared.
+/// Amplitude from which on a block counts in full; below, by its current squared.
 const FULL_NORM: i64 = norm(SOFT_RESONANCE_FROM_MA as f64 * 1e-3 / AMPERE_PER_CODE);
 
 /// Largest |I|² of samples within their range: that of a square wave.

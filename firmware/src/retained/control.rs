@@ -26,7 +26,7 @@ impl PanelSetting {
         }
     }
 
-    /// A byte that no setting has is a person's off.
+    /// Decodes a byte; one that no setting has is a person's off.
     const fn from_byte(byte: u8) -> Self {
         match byte {
             0 => Self::Untouched,

@@ -43,8 +43,8 @@ pub struct ClockCheck {
 }
 
 impl ClockCheck {
-    /// Takes what the timer shows; once an interval is known, or `patience` polls have passed without one, whether the two
-    /// clocks agree.
+    /// Takes what the timer shows; once an interval is known, or `patience` polls have passed without one, returns `true` if the
+    /// two clocks agree.
     pub fn take(&mut self, captured: ClockCapture, patience: u32) -> Option<bool> {
         self.polls += 1;
         let verdict = match (captured, self.first) {

@@ -1,4 +1,4 @@
-//! Program flow: whether each task runs as often as it must.
+//! Program flow: rate of each task, between two limits.
 
 use crate::drive::pwm::CORE_HZ;
 

@@ -19,7 +19,7 @@ struct Slices {
 }
 
 impl Slices {
-    /// The next `words` of `length`, and whether they are the last.
+    /// Returns the next `words` of `length`, and `true` if they are the last.
     fn next(&mut self, words: usize, length: usize) -> (core::ops::Range<usize>, bool) {
         let begin = self.at.min(length);
         let end = (begin + words.max(1)).min(length);
@@ -38,7 +38,7 @@ pub struct ImageCheck {
 }
 
 impl ImageCheck {
-    /// The image's words before its CRC, and the CRC.
+    /// Begins with the image's words before its CRC, and the CRC.
     pub fn new(words: &'static [u32], expected: u32) -> Self {
         Self {
             words,
@@ -47,7 +47,7 @@ impl ImageCheck {
         }
     }
 
-    /// Takes the next `words` words; at the end of the image whether it is whole, and begins anew.
+    /// Takes the next `words` words; at the end of the image returns `true` if it is whole, and begins anew.
     pub fn step(&mut self, unit: &mut impl Crc32, words: usize) -> Option<bool> {
         let (slice, last) = self.slices.next(words, self.words.len());
         if slice.start == 0 {
@@ -57,7 +57,7 @@ impl ImageCheck {
         last.then(|| unit.value() == self.expected)
     }
 
-    /// All of it at once; whether it is whole.
+    /// Takes all of it at once; returns `true` if it is whole.
     pub fn run(&mut self, unit: &mut impl Crc32) -> bool {
         self.slices.at = 0;
         self.step(unit, self.words.len()) == Some(true)
@@ -73,7 +73,7 @@ pub struct CopyCheck {
 }
 
 impl CopyCheck {
-    /// A copy and its original, equally long.
+    /// Begins with a copy and its original, equally long.
     pub fn new(copy: &'static [u32], original: &'static [u32]) -> Self {
         Self {
             copy,

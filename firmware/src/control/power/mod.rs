@@ -144,7 +144,7 @@ impl PowerControl {
         });
     }
 
-    /// One step of the search, one prediction at most; the frequency, of the grid, once it is found.
+    /// Takes a step of the search, one prediction at most; returns the frequency, of the grid, once it is found.
     ///
     /// The smallest change is f/300, more than half of the grid's f²/22.3 MHz at every
     /// frequency, so rounding never swallows it.

@@ -148,8 +148,8 @@ impl Housekeeping {
         (!begun).then_some(Response::outcome(Outcome::Busy))
     }
 
-    /// To be called after each block, behind [`Housekeeping::poll`]: carries out what a host has requested of the board,
-    /// a step at a time.
+    /// Carries out what a host has requested of the board, a step at a time; to be called after each block, behind
+    /// [`Housekeeping::poll`].
     #[inline(never)]
     pub fn serve(&mut self, lock: &mut impl SamplingLock, board: &mut impl BoardServices) {
         // A full queue would lose the response; a restart under way has given its own.
