@@ -319,6 +319,9 @@ pub const LEVELS: [PowerLevel; 9] = {
     ]
 };
 
+/// Highest level of the panel.
+pub const HIGHEST_LEVEL: u8 = LEVELS.len() as u8;
+
 /// Highest power that keeps warm, in watt.
 pub const KEEP_WARM_W: u16 = LEVELS[KEEP_WARM_LEVEL as usize - 1].power_w;
 

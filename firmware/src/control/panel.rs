@@ -14,6 +14,7 @@ use ihd_shared::wire::messages::State;
 
 use crate::control::request::PanelEvent;
 use crate::control::restart::is_reached;
+use crate::limits::HIGHEST_LEVEL;
 
 /// Time for which a line must stay as it is, in milliseconds: contacts bounce for less than 10.
 const DEBOUNCE_MS: u32 = 30;
@@ -165,7 +166,9 @@ impl PanelButtons {
         match (plus, minus, timer) {
             (true, false, false) if level > 0 || shown.keeps_warm || is_awake => {
                 self.awake_until_ms = None;
-                Some(PanelEvent::Level(level.saturating_add(1).min(9)))
+                Some(PanelEvent::Level(
+                    level.saturating_add(1).min(HIGHEST_LEVEL),
+                ))
             }
             (false, true, false) if level > 0 || shown.keeps_warm => {
                 Some(PanelEvent::Level(level.saturating_sub(1)))

@@ -9,13 +9,13 @@
 //! - The key lock keeps the panel from asking for more; off always works, locked or not.
 //! - Switching on at the panel after switching off there is what a person does to end a lock-out.
 
-use crate::limits::{KEEP_WARM_LEVEL, LEVELS};
+use crate::limits::{HIGHEST_LEVEL, KEEP_WARM_LEVEL, LEVELS};
 use crate::retained::control::PanelSetting;
 
 /// Touch of the panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PanelEvent {
-    /// Power level 0 (off) to 9; a higher one counts as 9.
+    /// Power level 0 (off) to [`HIGHEST_LEVEL`]; a higher one counts as that.
     Level(u8),
     /// Keeps warm what stands on the glass.
     KeepWarm,
@@ -86,7 +86,7 @@ impl PowerRequest {
             }
             PanelEvent::Timer(_) if self.power_w() == 0 => PanelResult::Nothing,
             PanelEvent::Timer(minutes) => PanelResult::Timer(minutes),
-            PanelEvent::Level(level) => self.set(PanelSetting::Level(level.min(9))),
+            PanelEvent::Level(level) => self.set(PanelSetting::Level(level.min(HIGHEST_LEVEL))),
             PanelEvent::KeepWarm => self.set(PanelSetting::KeepWarm),
         }
     }
@@ -148,9 +148,8 @@ impl PowerRequest {
 
     /// Takes the panel's highest level one lower.
     pub fn end_boost(&mut self) {
-        let below = LEVELS.len() as u8 - 1;
         if let PanelSetting::Level(level) = &mut self.setting {
-            *level = below.min(*level);
+            *level = (HIGHEST_LEVEL - 1).min(*level);
         }
     }
 

@@ -1,5 +1,7 @@
 //! State of control that outlives a reset: without it a restart over the link would end a lock-out.
 
+use crate::limits::HIGHEST_LEVEL;
+
 /// Setting of the panel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum PanelSetting {
@@ -36,6 +38,9 @@ impl PanelSetting {
         }
     }
 }
+
+// Level 0 has byte 1.
+const _: () = assert!(HIGHEST_LEVEL + 1 < PanelSetting::KEEP_WARM);
 
 /// State of restart policy and panel that only a person or the loss of power ends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
