@@ -73,10 +73,7 @@ impl Control {
                 return Action::Keep;
             }
         };
-        let dark = summary.is_comparable() && !summary.has_coil_current();
-        self.dark_probes = if dark { self.dark_probes + 1 } else { 0 };
-        if self.dark_probes >= DARK_PROBES {
-            self.dark_probes = 0;
+        if self.is_dark_again(summary) {
             return Action::Fault(Fault::NO_COIL_CURRENT);
         }
         let first = self.doubtful.take();
@@ -124,6 +121,17 @@ impl Control {
             }
             (pot, _) => self.lose_pot(pot, status),
         }
+    }
+
+    /// Counts probes in a row that saw a mains and no current; returns `true`, and begins anew, once there are [`DARK_PROBES`].
+    fn is_dark_again(&mut self, summary: &HalfCycle) -> bool {
+        let dark = summary.is_comparable() && !summary.has_coil_current();
+        self.dark_probes = if dark { self.dark_probes + 1 } else { 0 };
+        let is_again = self.dark_probes >= DARK_PROBES;
+        if is_again {
+            self.dark_probes = 0;
+        }
+        is_again
     }
 
     /// Opens a bridge in time that switches without a pot that was judged, whatever the reason.
