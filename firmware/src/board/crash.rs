@@ -40,7 +40,8 @@ fn set_ends(ends: u32) {
 }
 
 /// Counts a start after the watchdog; stays there if it is one too many in a row. The reset pin begins anew, and so does power-on, whose
-/// RAM holds no count; a supply that sagged does not.
+/// RAM holds no count; a supply that sagged does not. To be called before [`read_crash_record`], which begins another record: the LED
+/// and the start that follows tell the fault of the last run.
 pub fn count_start(flags: ResetFlags) {
     if flags.watchdog {
         if count_end() > MAX_ENDS {

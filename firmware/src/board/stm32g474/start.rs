@@ -69,8 +69,8 @@ struct Board {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let (flags, reset_flags, watchdog_is_sound) = registers::supply::reset_flags();
-    let last = crash::read_crash_record();
     crash::count_start(flags);
+    let last = crash::read_crash_record();
     let p = registers::clocks::start();
     registers::supply::protect_code();
     if let Some(mut core) = cortex_m::Peripherals::take() {

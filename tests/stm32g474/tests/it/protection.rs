@@ -14,7 +14,7 @@ use ihd_stm32g474::machine::Machine;
 use ihd_stm32g474::registers::{Field, dma1, flash, hrtim_common, syscfg};
 use ihd_stm32g474::time::{seconds, us};
 
-use crate::board::{Bench, SAMPLING, assert_no_violations, connect, resets, with_pot};
+use crate::board::{Bench, SAMPLING, assert_no_violations, connect, resets, set_mains, with_pot};
 
 /// Supply in volt that the detector takes for low.
 const SAGGED_V: f64 = DETECTOR_V - 0.05;
@@ -407,6 +407,30 @@ fn a_program_that_ends_again_and_again_stays_although_the_supply_sags() {
     bench.run_s(0.2);
     let before = [Reset::Software; 4];
     assert_eq!(resets(&bench), [&before[..], &[Reset::Power]].concat());
+}
+
+/// Without mains, fault 10 is active in each run, which locks nothing out: it is there for the LED, and for the log after the reset that
+/// ends it.
+#[test]
+fn a_watchdog_that_bites_again_and_again_leaves_the_fault_of_the_last_run() {
+    let bench = with_pot(PotKind::Ferromagnetic);
+    set_mains(&bench, 0.0);
+    for bites in 1..=5 {
+        bench.with(move |machine| {
+            reach_thread(machine);
+            machine.run_for(us(60_000)).unwrap();
+            reach_thread(machine);
+            hold_thread(machine);
+            let began = machine.now();
+            while machine.resets.len() < bites && machine.now() < began + us(600_000) {
+                machine.run_for(us(1_000)).unwrap();
+            }
+        });
+    }
+    bench.run_s(0.1);
+    assert_eq!(resets(&bench), [Reset::Watchdog; 5]);
+    bench.with(|machine| machine.chip().reset = Some(Reset::Software));
+    assert_eq!(after_reset(&bench), (5, Fault::MAINS_LOST.number()));
 }
 
 #[test]
