@@ -5,6 +5,7 @@ use std::path::Path;
 use ihd_signal::TimeBase;
 
 use super::assembly::OpenFile;
+use super::channels::ChannelOptions;
 use super::error::CaptureError;
 use super::format::{Opener, recognise};
 use super::formats::FileSamples;
@@ -18,7 +19,7 @@ pub struct LoneChannel {
     pub format: String,
     /// Name of the channel; may be empty.
     pub name: String,
-    /// Unit; `None` if neither the file nor the user states one.
+    /// Unit that the file states; `None` if it states none.
     pub unit: Option<String>,
     /// Largest magnitude it can show, in its unit; `None` if the file does not state it.
     pub full_scale: Option<f64>,
@@ -43,7 +44,7 @@ pub struct LoneChannel {
 /// Describes the only channel of a file; `None` if it has several, or if a second file is given.
 ///
 /// # Errors
-/// Any error of [`open`](crate::open()).
+/// Any error of [`open`](crate::open()); options of voltage and current, neither of which the channel is known to be.
 pub fn lone_channel(
     path: &Path,
     options: &OpenOptions,
@@ -56,6 +57,14 @@ pub fn lone_channel(
     let [channel] = file.source.channels() else {
         return Ok(None);
     };
+    if options.channels != ChannelOptions::default() {
+        let what = "it holds one channel, which is shown as the file has it: leave --input channels, units, probe, invert and swap out, \
+             or give the file with the other channel too";
+        return Err(CaptureError::Choice {
+            path: path.to_owned(),
+            what: what.to_owned(),
+        });
+    }
     let channel = channel.clone();
     let samples = file.source.read(&[0], &mut |_| ());
     let FileSamples { time, columns } = samples.map_err(|e| e.in_file(path))?;
@@ -88,4 +97,35 @@ pub fn lone_channel(
         mean,
         rms: libm::sqrt(square),
     }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// They were ignored in silence: the channel was shown in its file's unit.
+    #[test]
+    fn options_of_voltage_and_current_are_refused_and_a_rate_is_applied() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.csv");
+        std::fs::write(&path, b"time_s,v_V\n0,1\n1,2\n2,3\n").unwrap();
+        let rated = OpenOptions {
+            rate_hz: Some(2.0),
+            ..OpenOptions::default()
+        };
+        let lone = lone_channel(&path, &rated).unwrap().unwrap();
+        assert_eq!((lone.rate_hz, lone.duration_s), (Some(2.0), Some(1.0)));
+        let scaled = OpenOptions {
+            channels: ChannelOptions {
+                probe: Some([10.0, 1.0]),
+                ..ChannelOptions::default()
+            },
+            ..OpenOptions::default()
+        };
+        let why = lone_channel(&path, &scaled).unwrap_err().to_string();
+        assert!(
+            why.contains("one channel") && why.contains("probe"),
+            "{why}"
+        );
+    }
 }
