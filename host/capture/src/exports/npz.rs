@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, Read, Write};
+use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 
 use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_signal::{Capture, TimeBase};
@@ -15,14 +15,65 @@ const LEVEL: i64 = 3;
 /// Number of values encoded at a time.
 const CHUNK: usize = 1 << 13;
 
+/// File that drops what is written to it after an error: `ZipWriter::drop` completes the archive even then, and prints that it
+/// cannot, beside the error that this program reports.
+struct FileUntilError {
+    file: File,
+    at: u64,
+    end: u64,
+    error: Option<io::ErrorKind>,
+}
+
+impl Write for FileUntilError {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = match self.error {
+            Some(_) => bytes.len(),
+            None => self.file.write(bytes).inspect_err(|e| {
+                if e.kind() != io::ErrorKind::Interrupted {
+                    self.error = Some(e.kind());
+                }
+            })?,
+        };
+        self.at += written as u64;
+        self.end = self.end.max(self.at);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Seek for FileUntilError {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let at = match to {
+            SeekFrom::Start(at) => Some(at),
+            SeekFrom::End(by) => self.end.checked_add_signed(by),
+            SeekFrom::Current(by) => self.at.checked_add_signed(by),
+        };
+        let at = at.ok_or(io::ErrorKind::InvalidInput)?;
+        if self.error.is_none() {
+            self.file.seek(SeekFrom::Start(at))?;
+        }
+        self.at = at;
+        Ok(at)
+    }
+}
+
 /// Archive being written.
 pub(super) struct Archive {
-    zip: ZipWriter<BufWriter<File>>,
+    zip: ZipWriter<BufWriter<FileUntilError>>,
 }
 
 impl Archive {
-    /// Creates an archive without arrays.
+    /// Creates an archive without arrays in an empty file.
     pub(super) fn new(file: File) -> Self {
+        let file = FileUntilError {
+            file,
+            at: 0,
+            end: 0,
+            error: None,
+        };
         Self {
             zip: ZipWriter::new(BufWriter::with_capacity(1 << 16, file)),
         }
@@ -45,7 +96,11 @@ impl Archive {
         self.begin("metadata.json")?;
         serde_json::to_writer_pretty(&mut self.zip, notes)?;
         let mut out = self.zip.finish().map_err(io::Error::other)?;
-        out.flush()
+        out.flush()?;
+        match out.get_ref().error {
+            Some(kind) => Err(kind.into()),
+            None => Ok(()),
+        }
     }
 
     fn begin(&mut self, name: &str) -> io::Result<()> {

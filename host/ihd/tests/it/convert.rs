@@ -333,3 +333,41 @@ fn thousands_of_channels_are_no_trouble() {
     assert_eq!(report["samples"], 20);
     assert_eq!(report["v_V"][0], 4999.0);
 }
+
+/// The library of ZIP files printed a line of its own when it was dropped.
+#[test]
+#[cfg(target_os = "linux")]
+fn an_archive_beyond_the_limit_of_a_file_is_one_line_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    // Digits that deflate cannot shorten.
+    let row = |k: u32| {
+        let [v, i] = [7919, 104_729].map(|by| u64::from(k * k) * by % 1_000_003);
+        format!("{:.9},{v},{i}\n", f64::from(k) * 1e-7)
+    };
+    let text: String = (0..20_000).map(row).collect();
+    fs::write(
+        folder.path().join("a.csv"),
+        format!("time_s,v_V,i_A\n{text}"),
+    )
+    .unwrap();
+    let limited = |blocks: u32| {
+        let script =
+            format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" convert a.csv --out a.npz");
+        let mut command = Command::new("sh");
+        command
+            .current_dir(folder.path())
+            .args(["-c", &script, env!("CARGO_BIN_EXE_ihd")]);
+        command.output().expect("sh runs")
+    };
+    // From the first bytes on, and within the arrays.
+    for blocks in [0, 16] {
+        let output = limited(blocks);
+        let stderr = String::from_utf8(output.stderr).expect("UTF-8");
+        assert_eq!(output.status.code(), Some(1), "{stderr}");
+        assert!(
+            stderr.contains("a.npz") && !stderr.contains("ZipWriter"),
+            "{stderr}"
+        );
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "{stderr}");
+    }
+}
