@@ -9,7 +9,7 @@ use ihd_signal::truth::{ORDERS, PeriodTruth};
 use ihd_signal::{FrequencyStep, TimeBase};
 
 use super::stated_unit::StatedUnit;
-use super::time::{binary_resolution, time_base};
+use super::time::{binary_resolution, is_time_name, time_base};
 use super::{CaptureFile, FileChannel, FileFacts, FileSamples, ReadProgress};
 use crate::error::FormatError;
 use crate::options::ReadOptions;
@@ -55,8 +55,6 @@ enum Clock {
     Missing,
 }
 
-/// Names of a time vector, in lower case; a unit may follow.
-const TIME: [&str; 5] = ["time", "t", "timestamp", "x", "zeit"];
 /// Prefix of the arrays that hold a simulation's truth.
 const TRUTH: &str = "truth_";
 /// Names of the sampling interval, in lower case: ours, Tektronix', PicoScope's.
@@ -84,8 +82,7 @@ fn heading(array: &Array) -> (String, StatedUnit) {
 fn vectors(arrays: &[Array]) -> Result<(Option<usize>, Vec<usize>), FormatError> {
     let is_time = |a: &Array| {
         let (name, unit) = heading(a);
-        let named = TIME.contains(&name.to_lowercase().as_str());
-        a.length > 1 && named && unit.seconds().is_ok()
+        a.length > 1 && is_time_name(&name) && unit.seconds().is_ok()
     };
     let time = arrays.iter().position(is_time);
     let is_truth = |a: &Array| a.name.starts_with(TRUTH);

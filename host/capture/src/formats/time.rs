@@ -1,9 +1,17 @@
-//! Conversion of time stamps to a time base: even if the stamps are even within their resolution.
+//! Names of time columns, and conversion of their stamps to a time base: even if the stamps are even within their resolution.
 
 use ihd_signal::TimeBase;
 
 /// Largest deviation from an even grid, as a fraction of the sampling interval.
 const MAX_JITTER: f64 = 1e-3;
+
+/// Names of a time column or vector without its unit, in lower case.
+const NAMES: [&str; 6] = ["time", "t", "x", "x-axis", "timestamp", "zeit"];
+
+/// Returns `true` if a column or vector of this name, without its unit, is the time.
+pub fn is_time_name(name: &str) -> bool {
+    NAMES.contains(&name.to_lowercase().as_str())
+}
 
 /// Error for stamps that give no time base.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

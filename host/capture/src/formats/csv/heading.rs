@@ -4,6 +4,7 @@ use super::prelude::Prelude;
 use crate::channels::{ChannelRef, quantity_of_name};
 use crate::error::FormatError;
 use crate::formats::stated_unit::StatedUnit;
+use crate::formats::time::is_time_name;
 use crate::formats::unit::{ColumnQuantity, Unit};
 
 /// Heading of one column.
@@ -42,9 +43,8 @@ impl Heading {
 
     /// Returns `true` if the column is the time.
     pub fn is_time(&self) -> bool {
-        const NAMES: [&str; 6] = ["time", "t", "x", "x-axis", "timestamp", "zeit"];
         let of_unit = (self.unit.known()).is_some_and(|u| u.quantity == ColumnQuantity::Time);
-        of_unit || NAMES.contains(&self.name.to_lowercase().as_str())
+        of_unit || is_time_name(&self.name)
     }
 }
 
