@@ -14,6 +14,22 @@ use crate::learning::LookupToPush;
 /// Reason given where the store does not respond.
 const SILENT: &str = "the store does not answer";
 
+/// Race of the store, which gets to a request late, with the end of the wait for it: what the first has decided holds for both.
+#[derive(Clone, Default)]
+struct Decision(Arc<AtomicBool>);
+
+impl Decision {
+    /// Decides; returns `true` for the first.
+    fn take(&self) -> bool {
+        !self.0.swap(true, Ordering::Relaxed)
+    }
+
+    /// Leaves it to the other after all.
+    fn give_back(&self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
+}
+
 /// Lookups of one device in the store. Errors of the store are reported by its thread.
 pub struct LookupRows<'a> {
     /// Name of the device.
@@ -73,18 +89,16 @@ impl LookupRows<'_> {
         certainty: Option<Certainty>,
     ) -> Option<()> {
         let (device, pending) = (self.device_id?, lookup.clone());
-        // Set by whichever comes first: the store that has it, or the end of the wait.
-        let is_decided = Arc::new(AtomicBool::new(false));
-        let by_store = Arc::clone(&is_decided);
+        let decision = Decision::default();
+        let of_store = decision.clone();
         let stored = self.wait.run(move |store| {
             store.pend_lookup(device, &pending, &why, certainty.as_ref())?;
-            match by_store.swap(true, Ordering::Relaxed) {
-                false => Ok(()),
-                true => store.refuse_lookup(device, pending.version, "the store was too slow"),
+            match of_store.take() {
+                true => Ok(()),
+                false => store.refuse_lookup(device, pending.version, "the store was too slow"),
             }
         });
-        let stored = stored.await.is_some();
-        (stored || is_decided.swap(true, Ordering::Relaxed)).then_some(())
+        (stored.await.is_some() || !decision.take()).then_some(())
     }
 
     /// Marks a pending lookup as refused. If the store fails, it stays pending until the next connection reconciles it.
@@ -109,18 +123,15 @@ impl LookupRows<'_> {
     /// store gets to it.
     pub async fn reset(&self) -> Option<()> {
         let device = self.device_id?;
-        // Set by whichever comes first: the store that begins, or the end of the wait.
-        let is_decided = Arc::new(AtomicBool::new(false));
-        let by_store = Arc::clone(&is_decided);
+        let decision = Decision::default();
+        let of_store = decision.clone();
         let reset = self.wait.run(move |store| {
-            let may_begin = || !by_store.swap(true, Ordering::Relaxed);
-            let reset = store.reset_learning(device, &prior(), may_begin);
+            let reset = store.reset_learning(device, &prior(), || of_store.take());
             if reset.is_err() {
-                by_store.store(false, Ordering::Relaxed);
+                of_store.give_back();
             }
             reset.map(drop)
         });
-        let is_reset = reset.await.is_some();
-        (is_reset || is_decided.swap(true, Ordering::Relaxed)).then_some(())
+        (reset.await.is_some() || !decision.take()).then_some(())
     }
 }
