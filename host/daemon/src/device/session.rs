@@ -33,8 +33,11 @@ use crate::window_accounting::{Arrival, WindowCounter};
 /// Period of the session timer (lease, keep-alive, live view); 10 Hz is as fast as the page draws.
 const TICK: Duration = Duration::from_millis(100);
 
-/// Largest step back of the half-cycle count that reordered frames explain; a larger one means a restarted device.
+/// Smallest step back of the half-cycle count that reordered frames do not explain: it means a restarted device.
 const OUT_OF_ORDER: u32 = 1_000;
+
+/// Time without telemetry after which no step back is one of reordered frames.
+const REORDERING_TIME: Duration = Duration::from_secs(2);
 
 /// Half-cycles whose power is held until their window arrives: two seconds.
 const POWER_HISTORY: usize = 256;
@@ -69,6 +72,17 @@ pub(super) struct StoredIds {
     pub(super) session: SessionId,
 }
 
+/// Returns `true` if a half-cycle count that came `pause` after the one `before` it is that of a restarted device. Over a serial port
+/// nothing else shows a restart.
+fn has_restarted(before: u32, count: u32, pause: Duration) -> bool {
+    let smallest = if pause < REORDERING_TIME {
+        OUT_OF_ORDER
+    } else {
+        1
+    };
+    before.wrapping_sub(count).wrapping_sub(smallest) < 1 << 30
+}
+
 /// State of a session.
 pub struct DeviceSession<'a> {
     pub(super) record: &'a Arc<DeviceRecord>,
@@ -82,6 +96,7 @@ pub struct DeviceSession<'a> {
     pub(super) sweep: Option<(LeaseId, SweepState)>,
     pub(super) lookups: DeviceLookups<'a>,
     published_half_cycle: Option<u32>,
+    last_telemetry: Instant,
     /// Logged jumps in the window numbering.
     pub(super) logged_jumps: u32,
     pub(super) last_store_retry: Instant,
@@ -114,6 +129,7 @@ impl<'a> DeviceSession<'a> {
             stored: None,
             sweep: None,
             published_half_cycle: None,
+            last_telemetry: Instant::now(),
             logged_jumps: 0,
             last_store_retry: Instant::now(),
             flood: FloodLimits::default(),
@@ -250,6 +266,7 @@ impl<'a> DeviceSession<'a> {
 
     async fn on_telemetry(&mut self, t: Telemetry) -> Result<(), SessionEnd> {
         let now = Instant::now();
+        let pause = now.duration_since(std::mem::replace(&mut self.last_telemetry, now));
         self.record.ring().push(&t, now);
         let buffer = &self.context.telemetry;
         buffer.push(&self.record.name, &t, self.context.machine.now_ms());
@@ -269,12 +286,7 @@ impl<'a> DeviceSession<'a> {
         let is_heating = t.state == State::Heating;
         self.recent_powers
             .push_back((t.half_cycle, is_heating, t.power_mw));
-        if before.is_some_and(|b| {
-            b.half_cycle
-                .wrapping_sub(t.half_cycle)
-                .wrapping_sub(OUT_OF_ORDER)
-                < 1 << 30
-        }) {
+        if before.is_some_and(|b| has_restarted(b.half_cycle, t.half_cycle, pause)) {
             return Err(SessionEnd::Link(
                 "its half-cycles began anew: it was reset".to_owned(),
             ));
@@ -374,6 +386,30 @@ impl<'a> DeviceSession<'a> {
                 .run(move |store| store.end_session(session, &why));
             // Errors of the store are reported by its thread.
             let _ = ending.await;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A device that restarts in its first ten seconds was taken for one whose frames are out of order.
+    #[test]
+    fn a_step_back_is_a_restart_if_it_is_large_or_comes_after_a_pause() {
+        let [soon, late] = [10, 2_500].map(Duration::from_millis);
+        for (before, count, pause, restarted) in [
+            (5_000, 4_001, soon, false),
+            (5_000, 4_000, soon, true),
+            (900, 250, soon, false),
+            (900, 250, late, true),
+            (900, 900, late, false),
+            (900, 1_150, late, false),
+            (u32::MAX, 100, late, false),
+            (100, u32::MAX, soon, false),
+        ] {
+            let found = has_restarted(before, count, pause);
+            assert_eq!(found, restarted, "{before} {count} {pause:?}");
         }
     }
 }
