@@ -384,7 +384,7 @@ impl Client {
         let bytes = &buf[..length];
         let known = self.receiver.events.len();
         let now = self.transport.clock();
-        self.receiver.take(bytes, now);
+        self.receiver.take(bytes, self.awaited.is_some(), now);
         self.tap.take(now, bytes);
         self.take_answers();
         self.release_windows(known)?;

@@ -1,7 +1,7 @@
 //! Rates at which a device may send unasked; what exceeds them is dropped by its id, before it is checked, decoded or copied.
 //!
 //! A hob sends a half-cycle 100 to 120 times a second, and a window of every twentieth. The limit is twice that, so that a simulated hob
-//! may be twice as fast; what a link held back comes in one piece and fits, too. Answers are not limited: a request waits for them.
+//! may be twice as fast; what a link held back comes in one piece and fits, too. Answers are not limited while a request waits for one.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use ihd_shared::wire::messages::{
     FaultEvent, Log, Message, Telemetry, TrajectoryChunk, WindowChunk, WindowEnd, WindowStart,
 };
 
-/// Half-cycles, faults and pieces of the log a second.
+/// Half-cycles, faults and pieces of the log a second; as many answers for which no request waits.
 const NUMBERS_A_SECOND: f64 = 240.0;
 
 /// Windows a second.
@@ -59,6 +59,8 @@ impl Bucket {
 #[derive(Debug)]
 pub(super) struct Flood {
     numbers: Bucket,
+    /// Answers for which no request waits, and all else: late ones, and hellos.
+    others: Bucket,
     windows: Bucket,
     /// Messages that may still come of the window that began last; none where it was beyond the limit.
     pieces: usize,
@@ -69,13 +71,14 @@ impl Flood {
     pub(super) fn new(now: Duration) -> Self {
         Self {
             numbers: Bucket::new(NUMBERS_A_SECOND, now),
+            others: Bucket::new(NUMBERS_A_SECOND, now),
             windows: Bucket::new(WINDOWS_A_SECOND, now),
             pieces: PIECES,
         }
     }
 
-    /// Returns `true` if a frame of this id is one that a hob may send now.
-    pub(super) fn takes(&mut self, id: u8, now: Duration) -> bool {
+    /// Returns `true` if a frame of this id is one that a hob may send now; `is_awaited` is `true` while a request waits for its answer.
+    pub(super) fn takes(&mut self, id: u8, is_awaited: bool, now: Duration) -> bool {
         match id {
             Telemetry::ID | FaultEvent::ID | Log::ID => self.numbers.takes(now),
             WindowStart::ID => {
@@ -88,7 +91,7 @@ impl Flood {
                 self.pieces = self.pieces.saturating_sub(1);
                 takes
             }
-            _ => true,
+            _ => is_awaited || self.others.takes(now),
         }
     }
 }
@@ -102,7 +105,7 @@ mod tests {
     /// Frames of this id that are taken of so many a second, for so long.
     fn taken(flood: &mut Flood, id: u8, a_second: u32, seconds: u32) -> u32 {
         let at = |k| Duration::from_secs(1) * k / a_second;
-        let frames = (0..a_second * seconds).filter(|&k| flood.takes(id, at(k)));
+        let frames = (0..a_second * seconds).filter(|&k| flood.takes(id, false, at(k)));
         frames.count() as u32
     }
 
@@ -127,27 +130,35 @@ mod tests {
     fn a_second_that_a_link_held_back_is_taken_whole() {
         let mut flood = Flood::new(Duration::ZERO);
         let at = Duration::from_secs(60);
-        assert!((0..120).all(|_| flood.takes(Telemetry::ID, at)));
-        assert!((0..6).all(|_| flood.takes(WindowStart::ID, at)));
+        assert!((0..120).all(|_| flood.takes(Telemetry::ID, false, at)));
+        assert!((0..6).all(|_| flood.takes(WindowStart::ID, false, at)));
     }
 
     #[test]
     fn no_piece_of_a_window_beyond_the_limit_is_taken() {
         let mut flood = Flood::new(Duration::ZERO);
         let now = Duration::ZERO;
-        while flood.takes(WindowStart::ID, now) {
-            assert!(flood.takes(WindowChunk::ID, now));
+        while flood.takes(WindowStart::ID, false, now) {
+            assert!(flood.takes(WindowChunk::ID, false, now));
         }
         for id in [WindowChunk::ID, TrajectoryChunk::ID, WindowEnd::ID] {
-            assert!(!flood.takes(id, now));
+            assert!(!flood.takes(id, false, now));
         }
-        assert!(flood.takes(Reply::ID, now), "an answer always is");
+    }
+
+    #[test]
+    fn answers_are_limited_unless_a_request_waits() {
+        let mut flood = Flood::new(Duration::ZERO);
+        let answers = taken(&mut flood, Reply::ID, 4_000, 100);
+        assert!((24_000..=24_480).contains(&answers), "{answers}");
+        let now = Duration::from_secs(100);
+        assert!((0..4_000).all(|_| flood.takes(Reply::ID, true, now)));
     }
 
     #[test]
     fn a_window_without_end_ends() {
         let mut flood = Flood::new(Duration::ZERO);
-        assert!(flood.takes(WindowStart::ID, Duration::ZERO));
+        assert!(flood.takes(WindowStart::ID, false, Duration::ZERO));
         let pieces = taken(&mut flood, WindowChunk::ID, 100_000, 10);
         assert!(pieces as usize == PIECES, "{pieces}");
     }

@@ -115,8 +115,8 @@ impl Receiver {
         self.flood = Some(Flood::new(now));
     }
 
-    /// Takes bytes that came `now`; bad frames are in the counters.
-    pub(super) fn take(&mut self, mut bytes: &[u8], now: Duration) {
+    /// Takes bytes that came `now`; bad frames are in the counters. `is_awaited` is `true` while a request waits for its answer.
+    pub(super) fn take(&mut self, mut bytes: &[u8], is_awaited: bool, now: Duration) {
         self.counters.bytes += bytes.len() as u64;
         while !bytes.is_empty() {
             let (taken, is_end) = self.deframer.collect(bytes);
@@ -127,7 +127,7 @@ impl Receiver {
             let (flood, id) = (self.flood.as_mut(), self.deframer.id());
             let is_beyond = flood
                 .zip(id)
-                .is_some_and(|(flood, id)| !flood.takes(id, now));
+                .is_some_and(|(flood, id)| !flood.takes(id, is_awaited, now));
             if is_beyond {
                 self.deframer.skip();
                 self.counters.frames_beyond += 1;
