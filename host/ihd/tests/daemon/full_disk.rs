@@ -84,6 +84,11 @@ fn a_full_disk_is_said_with_what_it_costs_until_there_is_room_again() {
     );
     assert!(number_of("lost_windows") >= dropped as f64, "{check}");
     assert_eq!(check["remedy"], full["store_failure"]["advice"]);
+    for arguments in [&["device", "status"][..], &["device", "hob", "status"][..]] {
+        let output = ihd(folder.path()).args(arguments).output().unwrap();
+        let told = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(told.contains("disk is full"), "{arguments:?}: {told}");
+    }
     let all = daemon.until("the device's account", |all| {
         number(all, "not_stored") >= dropped
     });

@@ -15,6 +15,7 @@ use ihd_model::{Command, CommandError, CommandReply, DeviceReport};
 
 use super::address::address_of;
 use super::direct::Direct;
+use super::list::store_failure;
 use crate::cli::configured;
 #[cfg(feature = "log")]
 use crate::cli::opener::opener;
@@ -81,6 +82,14 @@ impl Hob {
         match self {
             Self::Daemon { client, name } => Ok(client.device(name)?),
             Self::Direct(direct) => direct.report(),
+        }
+    }
+
+    /// Text of the failure of the daemon's store; `None` while it takes everything, and without a daemon.
+    pub(super) fn store_failure(&self) -> Result<Option<String>> {
+        match self {
+            Self::Daemon { client, .. } => store_failure(client),
+            Self::Direct(_) => Ok(None),
         }
     }
 

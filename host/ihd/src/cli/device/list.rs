@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use anyhow::Result;
+use ihd_api::ApiClient;
 use ihd_daemon::config::DaemonConfig;
 use ihd_link::usb;
 use ihd_model::DeviceReport;
@@ -47,10 +48,8 @@ pub(super) fn print(config: &DaemonConfig, json: bool) -> Result<()> {
     match &daemon {
         Some(client) => {
             say!("daemon at {}", client.url())?;
-            if let Some(failure) = client.health(HEALTH_WITHIN)?.store_failure {
-                let lost = failure.dropped.text();
-                let (text, advice) = (failure.text, failure.advice);
-                say!("its store does not take everything: {text}; lost so far: {lost}. {advice}")?;
+            if let Some(failure) = store_failure(client)? {
+                say!("its store {failure}")?;
             }
         }
         None => say!("no daemon at {}; without one there are:", config.listen)?,
@@ -67,6 +66,16 @@ pub(super) fn print(config: &DaemonConfig, json: bool) -> Result<()> {
         )?;
     }
     Ok(())
+}
+
+/// Text of the failure of the daemon's store; `None` while it takes everything.
+pub(super) fn store_failure(client: &ApiClient) -> Result<Option<String>> {
+    let failure = client.health(HEALTH_WITHIN)?.store_failure;
+    Ok(failure.map(|failure| {
+        let lost = failure.dropped.text();
+        let (text, advice) = (failure.text, failure.advice);
+        format!("does not take everything: {text}; lost so far: {lost}. {advice}")
+    }))
 }
 
 /// Devices of the configuration, and boards on USB that it does not name.

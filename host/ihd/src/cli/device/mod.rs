@@ -147,7 +147,7 @@ impl DeviceArgs {
                 several => heating::sweep(&mut hob, several, global.json),
             },
             (Action::Lookup { .. }, None) => lookup::show(&mut hob, global.json),
-            (_, None) => text::print(&hob.report()?, global.json),
+            (_, None) => status(&mut hob, global.json),
         }
     }
 }
@@ -192,6 +192,15 @@ impl Action {
             Self::Status | Self::Off | Self::Lookup { .. } => false,
         }
     }
+}
+
+/// Prints the report of a device, and what its daemon's store does not take.
+fn status(hob: &mut Hob, json: bool) -> Result<()> {
+    text::print(&hob.report()?, json)?;
+    if !json && let Some(failure) = hob.store_failure()? {
+        say!("store      {failure}")?;
+    }
+    Ok(())
 }
 
 /// Carries out a command and prints the reply. A lease that was taken by force is given back, whatever the command came to.
