@@ -7,7 +7,7 @@ use ihd::report::table::TextTable;
 use ihd::{ensure_usage, say};
 use ihd_fleet::jetstream::SILENT_AFTER;
 use ihd_fleet::{claims, names, status};
-use ihd_model::{FleetDevice, FleetEdge, FleetReport};
+use ihd_model::{FleetDevice, FleetEdge, FleetReport, FleetWorker};
 use serde::Serialize;
 
 use super::dead::DeadWindowArgs;
@@ -185,9 +185,29 @@ fn report_text(status: &FleetStatus) -> String {
         "{}: {} windows ever, {} results, {} in the backlog, {} dead\n",
         report.server, report.windows, report.results, report.backlog, report.dead
     );
-    let mut workers = TextTable::new(&["worker", "threads", "at", "done", "failed", "ihd", "seen"]);
-    for worker in &report.workers {
-        workers.row([
+    match report.workers.is_empty() {
+        true => text.push_str("no worker: ihd-fleet worker\n"),
+        false => text.push_str(&format!("\n{}", workers(&report.workers).render())),
+    }
+    if !report.edges.is_empty() {
+        text.push_str(&format!("\n{}", edges(&report.edges).render()));
+    }
+    for line in silences(status).chain(alarms(report)) {
+        text.push_str(&format!("{line}\n"));
+    }
+    text.push_str(&format!(
+        "\n{} hobs, {} of them outdated: ihd-fleet status devices",
+        report.devices.len(),
+        report.devices.iter().filter(|d| d.outdated).count()
+    ));
+    text
+}
+
+/// One row per worker.
+fn workers(workers: &[FleetWorker]) -> TextTable {
+    let mut table = TextTable::new(&["worker", "threads", "at", "done", "failed", "ihd", "seen"]);
+    for worker in workers {
+        table.row([
             worker.name.clone(),
             worker.threads.to_string(),
             worker.busy.to_string(),
@@ -197,7 +217,12 @@ fn report_text(status: &FleetStatus) -> String {
             ago(worker.last_seen_ms),
         ]);
     }
-    let mut edges = TextTable::new(&[
+    table
+}
+
+/// One row per edge.
+fn edges(edges: &[FleetEdge]) -> TextTable {
+    let mut table = TextTable::new(&[
         "edge",
         "stored",
         "due",
@@ -210,10 +235,10 @@ fn report_text(status: &FleetStatus) -> String {
         "ihd",
         "seen",
     ]);
-    for edge in &report.edges {
+    for edge in edges {
         let states = &edge.states;
         let learns = if edge.delegates { "fleet" } else { "itself" };
-        edges.row([
+        table.row([
             edge.name.clone(),
             states.stored().to_string(),
             states.due.to_string(),
@@ -227,22 +252,7 @@ fn report_text(status: &FleetStatus) -> String {
             ago(edge.last_seen_ms),
         ]);
     }
-    match report.workers.is_empty() {
-        true => text.push_str("no worker: ihd-fleet worker\n"),
-        false => text.push_str(&format!("\n{}", workers.render())),
-    }
-    if !report.edges.is_empty() {
-        text.push_str(&format!("\n{}", edges.render()));
-    }
-    for line in silences(status).chain(alarms(report)) {
-        text.push_str(&format!("{line}\n"));
-    }
-    text.push_str(&format!(
-        "\n{} hobs, {} of them outdated: ihd-fleet status devices",
-        report.devices.len(),
-        report.devices.iter().filter(|d| d.outdated).count()
-    ));
-    text
+    table
 }
 
 impl StatusArgs {
