@@ -11,7 +11,7 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::alarms::Alarms;
-use super::link::Link;
+use super::link::{Link, STORE};
 use crate::clock::now_ms;
 use crate::jetstream::{self, JetStreamError, SILENT_AFTER};
 use crate::names;
@@ -105,8 +105,11 @@ impl OwnWindows {
         if self.counted.is_none_or(|at| at.elapsed() >= COUNT_PERIOD) {
             self.counted = Some(Instant::now());
             match link.daemon.fleet().tally().await {
-                Ok(states) => self.states = states,
-                Err(why) => link.failed("store", &why),
+                Ok(states) => {
+                    self.states = states;
+                    link.works(STORE);
+                }
+                Err(why) => link.failed(STORE, &why),
             }
         }
         self.alarms = link.alarms();

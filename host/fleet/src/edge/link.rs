@@ -36,6 +36,8 @@ pub(crate) struct Link {
 /// Parts without which a hob's windows are not left to the fleet.
 pub const SENDING: &str = "sending";
 pub const RESULTS: &str = "results";
+/// Part that stands for the store of this daemon.
+pub const STORE: &str = "store";
 
 impl Link {
     pub fn new(
@@ -70,7 +72,7 @@ impl Link {
     /// Records a failure of a part; each text is logged once.
     pub fn failed(&self, part: &'static str, why: &dyn Display) {
         let why = why.to_string();
-        if self.state().faults.failed(part, &why) {
+        if self.state().faults.failed(part, &why, Instant::now()) {
             tracing::warn!("fleet: {part}: {why}");
         }
     }
@@ -202,7 +204,7 @@ impl Link {
         }
     }
 
-    /// Returns the alarms of parts that have ended, refused hobs and answers that nobody asked for.
+    /// Returns the alarms of parts that have ended or fail, refused hobs and answers that nobody asked for.
     pub fn alarms(&self) -> Vec<String> {
         let (state, now) = (self.state(), Instant::now());
         let text = |(part, times): (&&str, &u32)| {
@@ -213,6 +215,7 @@ impl Link {
         let ended = state.ended.iter().map(text);
         let refused = state.refusals.alarms(now);
         ended
+            .chain(state.faults.alarms(now))
             .chain(refused)
             .chain(state.oddities.alarms(now))
             .collect()

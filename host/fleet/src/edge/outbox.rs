@@ -14,7 +14,7 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::time::Instant;
 
 use super::acknowledged::{self, all_until};
-use super::link::{Link, RESULTS, SENDING};
+use super::link::{Link, RESULTS, SENDING, STORE};
 use super::refusals::RETRY_PAUSE;
 use crate::message_ids::MessageIds;
 use crate::names;
@@ -103,7 +103,7 @@ async fn read_message_ids(link: &Link) -> Option<MessageIds> {
     loop {
         match link.daemon.fleet().secret().await {
             Ok(secret) => return Some(MessageIds::new(secret)),
-            Err(why) => link.failed("store", &why),
+            Err(why) => link.failed(STORE, &why),
         }
         if !link.wait(RETRY_PAUSE).await {
             return None;
@@ -140,14 +140,14 @@ async fn resend_unanswered(link: &Link) {
                 link.state().oddities.expect_none((device, boot, seq));
             }
         }
-        Err(why) => link.failed("store", &why),
+        Err(why) => link.failed(STORE, &why),
     }
     match fleet.requeue_unanswered(before_ms).await {
         Ok(0) => {}
         Ok(windows) => {
             tracing::warn!(windows, "never answered by the fleet: they are sent again");
         }
-        Err(why) => link.failed("store", &why),
+        Err(why) => link.failed(STORE, &why),
     }
 }
 

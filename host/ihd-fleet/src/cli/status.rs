@@ -36,7 +36,8 @@ pub struct StatusArgs {
     #[arg(value_enum, value_name = "PART", default_value = "fleet")]
     part: Part,
     /// With fleet: end with code 7 where windows are dead, no worker is there for a backlog, an edge or a hob was not heard of for 30 s, or an
-    /// edge has an alarm: windows that are due for 10 min or without an answer for an hour, a name that is another store's
+    /// edge has an alarm: windows that are due for 10 min or without an answer for an hour, a name that is another store's, a part that
+    /// fails for 10 min
     #[arg(long)]
     check: bool,
     /// With devices: only those whose firmware differs from that of most of their board, or from `ihd-fleet init --build`
