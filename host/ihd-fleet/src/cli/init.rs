@@ -6,6 +6,7 @@ use ihd::cli::global::Global;
 use ihd::{ensure_usage, say};
 use ihd_daemon::config::is_name;
 use ihd_fleet::jetstream::{self, FleetLimits};
+use ihd_fleet::server_config::EdgeAccount;
 use ihd_fleet::{claims, names};
 
 use super::{AccessArgs, server_config, up};
@@ -40,8 +41,8 @@ pub struct InitArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=5))]
     replicas: Option<u8>,
     /// An edge and its hobs, where its key may not make its own consumer (docs/fleet.md); may be given again
-    #[arg(long = "edge", value_name = "EDGE=HOB,…", value_parser = edge)]
-    edges: Vec<(String, Vec<String>)>,
+    #[arg(long = "edge", value_name = "EDGE=HOB,…")]
+    edges: Vec<EdgeAccount>,
     /// An edge whose store is gone for good: the next daemon of that name has it; may be given again
     #[arg(long = "free", value_name = "EDGE", value_parser = edge_name)]
     freed: Vec<String>,
@@ -61,18 +62,6 @@ fn edge_name(text: &str) -> Result<String, String> {
     match is_name(text) {
         true => Ok(text.to_owned()),
         false => Err(format!("{text:?} is no edge's name: a-z, 0-9, - and _")),
-    }
-}
-
-/// Parses `EDGE=HOB,HOB`.
-fn edge(text: &str) -> Result<(String, Vec<String>), String> {
-    let wrong = || format!("{text:?} is not EDGE=HOB,HOB: names have a-z, 0-9, - and _");
-    let (edge, hobs) = text.split_once('=').ok_or_else(wrong)?;
-    let hobs: Vec<String> = hobs.split(',').map(str::to_owned).collect();
-    let named = is_name(edge) && hobs.iter().all(|hob| is_name(hob));
-    match named {
-        true => Ok((edge.to_owned(), hobs)),
-        false => Err(wrong()),
     }
 }
 
@@ -105,8 +94,8 @@ impl InitArgs {
         access.with(global, async |access, context| {
             let limits = self.limits(jetstream::limits(&context).await?.unwrap_or_default());
             jetstream::init(&context, &limits).await?;
-            for (edge, hobs) in &self.edges {
-                jetstream::init_edge(&context, edge, hobs).await?;
+            for edge in &self.edges {
+                jetstream::init_edge(&context, &edge.name, &edge.hobs).await?;
             }
             for edge in &self.freed {
                 match claims::free(&context, edge).await? {
