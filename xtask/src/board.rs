@@ -57,12 +57,7 @@ fn joined(on: &Workspace) -> anyhow::Result<PathBuf> {
     if fs::read_to_string(&place).ok().as_ref() != Some(&text) {
         fs::write(&place, text)?;
     }
-    // The versions of the main workspace; cargo adds Unicorn's.
-    let (main, joined) = (on.root.join("Cargo.lock"), folder.join("Cargo.lock"));
-    let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
-    if changed(&joined) < changed(&main) {
-        fs::copy(main, joined)?;
-    }
+    on.copy_lock(&folder)?;
     Ok(place)
 }
 

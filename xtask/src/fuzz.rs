@@ -55,12 +55,7 @@ pub fn fuzz(on: &Workspace, only: Option<&str>, seconds: u64) -> anyhow::Result<
 
 /// Builds the targets with coverage; returns the folder that they are in.
 fn build(on: &Workspace, targets: &[&str]) -> anyhow::Result<PathBuf> {
-    // What is shipped: fuzz/Cargo.lock starts as a copy of the workspace's, and cargo adds libFuzzer to it.
-    let (shipped, fuzzed) = (on.root.join("Cargo.lock"), on.root.join("fuzz/Cargo.lock"));
-    let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
-    if changed(&fuzzed) < changed(&shipped) {
-        fs::copy(&shipped, &fuzzed).context("could not copy Cargo.lock to fuzz/")?;
-    }
+    on.copy_lock(&on.root.join("fuzz"))?;
     let host = first_line(Command::new("rustc").args(["--print", "host-tuple"]));
     let host = host.context("`rustc --print host-tuple` failed")?;
     let folder = on.target.join("fuzz");

@@ -1,12 +1,12 @@
 //! Location of the workspace, and start of cargo and other programs.
 
 use std::collections::BTreeMap;
-use std::env;
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{ChildStderr, Command, Stdio};
 use std::sync::{Mutex, PoisonError};
+use std::{env, fs};
 
 use anyhow::{Context, ensure};
 use cargo_metadata::MetadataCommand;
@@ -88,6 +88,16 @@ impl Workspace {
             command.env("IHD_BOARD", board);
         }
         command
+    }
+
+    /// Copies a newer Cargo.lock into the folder of another workspace, for the same versions; cargo adds that one's own.
+    pub fn copy_lock(&self, folder: &Path) -> anyhow::Result<()> {
+        let [from, to] = [&*self.root, folder].map(|folder| folder.join("Cargo.lock"));
+        let changed = |path: &Path| path.metadata().and_then(|file| file.modified()).ok();
+        if changed(&to) < changed(&from) {
+            fs::copy(&from, &to).with_context(|| format!("cannot write {}", to.display()))?;
+        }
+        Ok(())
     }
 }
 
