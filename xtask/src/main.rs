@@ -99,8 +99,8 @@ enum Chore {
     },
     /// Run the tests that are for the controller itself (firmware/on-target): in QEMU, and on a board behind a debug probe.
     ///
-    /// The board's part needs probe-rs and is skipped, with a message, where either is missing. It overwrites
-    /// the board's program: `ihd flash` brings it back.
+    /// The board's part comes last, and fails without probe-rs or a board. It overwrites the board's program: `ihd flash`
+    /// brings it back.
     TargetTests,
     /// Run the board's image on an emulated STM32G474 with the simulated power stage, its link on TCP.
     ///
