@@ -15,9 +15,10 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, Result};
 use clap::{ArgGroup, Args};
 use ihd_doctor::machine::{self, LocalSystem, System};
-use ihd_doctor::{Check, CheckGroup, Report, board, firmware, first_switching};
+use ihd_doctor::{Check, CheckGroup, CheckResult, Report, board, firmware, first_switching};
 use ihd_flash::{Image, ImageError};
 use ihd_link::Client;
+use ihd_shared::wire::hello::CAP_SIMULATED;
 use ihd_survey::calibration::ReferenceLoad;
 
 use super::global::Global;
@@ -91,16 +92,19 @@ impl DoctorArgs {
         };
         let choice = self.device_choice(global)?;
         let system = LocalSystem::new(as_root());
+        // All answers before anything is done.
         if self.fix {
             on_linux(&system)?;
             if !self.yes && !confirmed(BEFORE_FIX, "yes", global.json)? {
                 return Ok(());
             }
-            fix(&system, global.json)?;
         }
         if self.first_switching && !self.yes && !confirmed(BEFORE_SWITCHING, "switch", global.json)?
         {
             return Ok(());
+        }
+        if self.fix {
+            fix(&system, global.json)?;
         }
         let stop = interrupt::flag().context("cannot catch ^C")?;
         let boards = match &choice {
@@ -190,7 +194,7 @@ impl DoctorArgs {
         lost
     }
 
-    /// Makes the first switching, unless a check forbids it.
+    /// Makes the first switching, unless a check forbids it or is missing.
     fn switch(
         &self,
         report: &mut Report,
@@ -198,16 +202,10 @@ impl DoctorArgs {
         lost: Option<String>,
         stop: &AtomicBool,
     ) -> Option<String> {
-        let needed = ["idle", "comparators", "flash_crc", "option_bytes", "clocks"];
-        let failed = needed.into_iter().find(|name| {
-            let check = report.check(name);
-            check.is_some_and(|check| check.verdict == ihd_doctor::CheckResult::Fail)
-        });
-        let against = match (&lost, failed) {
-            (Some(lost), _) => Some(lost.clone()),
-            (None, Some(name)) => Some(format!("the check `{name}` failed")),
-            (None, None) => None,
-        };
+        let is_simulated = client.hello().capabilities & CAP_SIMULATED != 0;
+        let against = lost
+            .clone()
+            .or_else(|| reason_against_switching(report, is_simulated));
         let (checks, ended) = match against {
             Some(why) => {
                 let none = |name| Check::not_tested(name, &why);
@@ -261,6 +259,22 @@ impl DoctorArgs {
         let (choice, _) = (device::of_name(name)?, global);
         Ok(Some(choice))
     }
+}
+
+/// Checks without which the bridge is not switched.
+const NEEDED: [&str; 5] = ["idle", "comparators", "flash_crc", "option_bytes", "clocks"];
+
+/// Returns the needed check that failed or, on a board, was not made: a simulated hob has neither comparators nor flash.
+fn reason_against_switching(report: &Report, is_simulated: bool) -> Option<String> {
+    NEEDED
+        .into_iter()
+        .find_map(|name| match report.check(name).map(|check| check.verdict) {
+            Some(CheckResult::Pass) => None,
+            Some(CheckResult::Fail) => Some(format!("the check `{name}` failed")),
+            Some(CheckResult::NotTested) | None => {
+                (!is_simulated).then(|| format!("the check `{name}` was not made"))
+            }
+        })
 }
 
 fn print(report: &Report, json: bool) -> Result<()> {
@@ -339,4 +353,41 @@ fn confirmed(text: &str, word: &str, json: bool) -> Result<bool> {
     }
     say!("nothing was done")?;
     Ok(false)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A board whose firmware does not know the test of its trip was switched all the same.
+    #[test]
+    fn a_board_is_switched_after_all_needed_checks_alone() {
+        let report = |comparators: Check| {
+            let mut report = Report::new(None);
+            let others = NEEDED.into_iter().filter(|name| *name != "comparators");
+            let others = others.map(|name| Check::pass(name, "as it should be"));
+            report.add(CheckGroup {
+                name: "board",
+                checks: others.chain([comparators]).collect(),
+            });
+            report
+        };
+        let name = "comparators";
+        let passed = report(Check::pass(name, "both tripped"));
+        let failed = report(Check::fail(name, "no trip", "no voltage on the bus"));
+        let missing = report(Check::not_tested(name, "unknown message"));
+        for (report, on_board, on_simulated) in [
+            (&passed, None, None),
+            (&failed, Some("failed"), Some("failed")),
+            (&missing, Some("was not made"), None),
+        ] {
+            for (is_simulated, reason) in [(false, on_board), (true, on_simulated)] {
+                let found = reason_against_switching(report, is_simulated);
+                let expected = reason.map(|reason| format!("the check `comparators` {reason}"));
+                assert_eq!(found, expected);
+            }
+        }
+        let empty = Report::new(None);
+        assert!(reason_against_switching(&empty, false).is_some());
+    }
 }
