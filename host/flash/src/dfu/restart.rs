@@ -29,6 +29,7 @@ pub enum EnterError {
 /// Opens the only bootloader, or the one with the serial number. If there is none and none was named, restarts the firmware on USB
 /// into its bootloader. If `device` is given and answers, always restarts that.
 ///
+/// # Errors
 /// [`EnterError`]; a board that heats refuses.
 pub fn reach(serial: Option<&str>, device: Option<&DeviceSpec>) -> Result<Dfu<Usb>, EnterError> {
     let present = usb::bootloaders()?;

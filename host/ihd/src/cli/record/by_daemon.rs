@@ -41,11 +41,15 @@ pub(super) fn record(
     let before: BTreeSet<String> = files(client, name)?.into_iter().map(|f| f.0).collect();
     let began = client.command(name, &Command::RecordStart(*settings))?;
     let watched = watch(client, name, &began, stop, json);
-    if watched.is_err() || stop.load(Ordering::Relaxed) {
-        // If it has ended by itself, there is nothing to stop.
-        let _ = client.command(name, &Command::RecordStop);
-    }
+    let stopped = match watched.is_err() || stop.load(Ordering::Relaxed) {
+        true => client.command(name, &Command::RecordStop).map(drop),
+        false => Ok(()),
+    };
     watched?;
+    // If it has ended by itself, there was nothing to stop.
+    if client.device(name)?.recording_now.is_some() {
+        stopped?;
+    }
     let recorded = complete(client, name, &before)?;
     if let Some(why) = client.device(name)?.recording_failure {
         bail!(
@@ -143,14 +147,20 @@ fn download(client: &ApiClient, recorded: &[String], out: &Path) -> Result<Vec<P
                 path.display()
             )
         };
-        let mut target = fs::File::create_new(&path).with_context(what)?;
-        client
-            .download_recording(file, &mut target)
-            .with_context(what)?;
-        target.sync_all().with_context(what)?;
+        let target = fs::File::create_new(&path).with_context(what)?;
+        if let Err(error) = copy(client, file, target) {
+            // A part of it would pass for the recording.
+            let _ = fs::remove_file(&path);
+            return Err(error).with_context(what);
+        }
         here.push(path);
     }
     Ok(here)
+}
+
+fn copy(client: &ApiClient, file: &str, mut to: fs::File) -> Result<()> {
+    client.download_recording(file, &mut to)?;
+    Ok(to.sync_all()?)
 }
 
 fn print(files: &[PathBuf], json: bool) -> Result<()> {
