@@ -65,7 +65,7 @@ class Store:
     def telemetry(
         self, device: str, since: Time = "1970-01-01", until: Time | None = None, *, minutes: bool = True
     ) -> Columns:
-        """What a device did before `until` (default: now), a row for each minute, or each second: at, asked_w, fault, and least, mean and
+        """Telemetry of a device before `until` (default: now), a row for each minute, or each second: at, asked_w, fault, and least, mean and
         largest of power_…_w, i_crest_…_a, r_…_ohm, l_…_h, f_sw_…_hz, as in `power_mean_w`; NaN where it did not heat."""
         end = datetime.now(timezone.utc) + timedelta(seconds=1) if until is None else until
         from_s, to_s = (_ms(time) // 1000 for time in (since, end))

@@ -21,7 +21,7 @@ use super::AccessArgs;
 
 /// Identify windows of a fleet, until told to stop: takes them from the queue, publishes what it finds
 ///
-/// As many as there are machines; each may be killed at any moment. A window that was given to workers five times goes to the dead
+/// Several may run, on as many machines; each may be killed at any moment. A window that was given to workers five times goes to the dead
 /// (`ihd-fleet status dead`).
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \

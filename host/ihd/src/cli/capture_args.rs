@@ -23,7 +23,7 @@ pub struct CaptureArgs {
     file: PathBuf,
     /// File of the same acquisition with the other channel; numbered after the first's
     second: Option<PathBuf>,
-    /// How the file is read, where it does not say so itself: channels, columns, probe, units, invert, swap, rate; fsw, mains,
+    /// Reading of the file, where it does not say so itself: channels, columns, probe, units, invert, swap, rate; fsw, mains,
     /// zero-crossing and resonance-capacitance instead of what it shows. `--input help` explains them
     #[arg(long, value_name = "KEY=VALUE,…", value_parser = keys::text::<InputOptions>())]
     input: Vec<String>,
@@ -134,7 +134,7 @@ impl CaptureArgs {
     /// Opens the capture to be read in parts; `progress` is called with the share read where all of it is read at once.
     ///
     /// # Errors
-    /// As [`CaptureArgs::open`].
+    /// Any error of [`CaptureArgs::open`].
     pub fn open_parts(&self, progress: &mut dyn FnMut(f64)) -> Result<CaptureParts> {
         let reader = PartReader::open(&self.file, &self.options()?, progress)?;
         Ok(CaptureParts {
