@@ -98,20 +98,24 @@ pub fn windows(
         if format == ExportFormat::Mcap {
             let path = path_of(name)?;
             let session = reader.session_of(&device, boot)?;
-            recording(reader, &rows, session.as_ref(), &path, each)?;
+            let written = recording(reader, &rows, session.as_ref(), &path, each)?;
+            exported.windows += written;
+            exported.without_samples += rows.len() as u64 - written;
             exported.files.push(path);
         } else {
             for row in &rows {
                 let path = path_of(format!("{name}-{}", row.seq))?;
                 let Some(window) = reader.window(&device, boot, row.seq)? else {
+                    // A daemon has deleted them meanwhile.
+                    exported.without_samples += 1;
                     continue;
                 };
                 format::write(&capture(row, &window), &path, &mut |_| ())?;
+                exported.windows += 1;
                 exported.files.push(path);
                 each();
             }
         }
-        exported.windows += rows.len() as u64;
     }
     Ok(exported)
 }
@@ -188,18 +192,19 @@ pub fn capture(row: &WindowRow, window: &Window) -> Capture {
 }
 
 /// Writes a boot's windows as a recording: the frames that a device of this build would have sent, through the
-/// recorder of `ihd record`.
+/// recorder of `ihd record`. Returns the number of windows in it.
 fn recording(
     reader: &StoreReader,
     rows: &[WindowRow],
     session: Option<&SessionRow>,
     path: &Path,
     each: &mut dyn FnMut(),
-) -> Result<(), StoreError> {
+) -> Result<u64, StoreError> {
     let written = (|| {
         let Some(first) = rows.first() else {
-            return Ok(());
+            return Ok(0);
         };
+        let mut windows = 0;
         let (hello, front_end) = identity(first.boot, session);
         let failed = |e: McapFileError| StoreError::Export(ExportError::Mcap(e));
         let recorder = SessionRecorder::create(path, &hello, &front_end).map_err(failed)?;
@@ -215,11 +220,14 @@ fn recording(
                 let at = Duration::from_millis(u64::try_from(since_ms).unwrap_or(0));
                 frames.at = frames.at.max(at);
                 frames.window(&window).map_err(|e| write_error(path, &e))?;
+                windows += 1;
             }
             each();
         }
         let finished = Box::new(frames.recorder).finish();
-        finished.map_err(|e| write_error(path, &e))
+        finished
+            .map(|()| windows)
+            .map_err(|e| write_error(path, &e))
     })();
     if written.is_err() {
         // An incomplete file would look complete. A failure to remove it is not reported beside the first error.

@@ -143,7 +143,15 @@ fn stdin_scenarios() -> Receiver<Scenario> {
     let (sender, scenarios) = channel();
     thread::spawn(move || {
         for line in std::io::stdin().lock().lines() {
-            let Ok(line) = line else { return };
+            let line = match line {
+                Ok(line) => line,
+                Err(why) => {
+                    complain(format_args!(
+                        "warning: standard input is read no more: {why}"
+                    ));
+                    return;
+                }
+            };
             if line.trim().is_empty() {
                 continue;
             }

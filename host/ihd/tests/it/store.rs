@@ -236,6 +236,9 @@ fn what_is_exported_and_backed_up_can_be_read() {
         code == 1 && stderr.contains("nothing was written"),
         "{code} {stderr}"
     );
+    let missing = ["export", "--format", "npz", "--seq", "4711", "--out", "x"];
+    let (code, _, stderr) = ihd(folder.path(), &missing);
+    assert!(code == 1 && stderr.contains("4711"), "{code} {stderr}");
     done(folder.path(), &["backup", "copy"]);
     drop(writer);
     let report = json(folder.path(), &["check", "--store", "copy"]);
@@ -280,9 +283,6 @@ fn damage_is_7_and_wrong_usage_2() {
     ] {
         fs::write(folder.path().join("broken.toml"), "store = 7\n").unwrap();
         let (code, _, stderr) = ihd(folder.path(), wrong);
-        assert!(
-            code == 2 || wrong[0] == "export",
-            "{wrong:?}: {code} {stderr}"
-        );
+        assert_eq!(code, 2, "{wrong:?}: {stderr}");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use ihd_store::clock::rfc3339;
 use ihd_store::export::{self, ExportFormat};
@@ -89,6 +89,11 @@ impl ExportArgs {
         });
         bar.finish_and_clear();
         let written = written?;
+        if let (0, Some(seq)) = (written.windows, self.seq) {
+            bail!(
+                "there is no window {seq} with samples; `ihd store ls` lists the results of windows"
+            );
+        }
         if json {
             return output::json(&written);
         }
