@@ -1,6 +1,6 @@
 //! Windows that were given up: `ihd-fleet status dead` and `ihd-fleet retry`.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use clap::Args;
 use ihd::cli::global::Global;
 use ihd::report::table::TextTable;
@@ -41,6 +41,16 @@ impl DeadWindowArgs {
 }
 
 impl DeadWindowArgs {
+    /// Refuses a number that no window given up has.
+    fn ensure_found(&self, windows: u64) -> Result<()> {
+        match self.number {
+            Some(number) if windows == 0 => {
+                bail!("no window {number} was given up: ihd-fleet status dead")
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Returns `true` if some windows alone are named.
     pub(super) fn is_given(&self) -> bool {
         self.hob.is_some() || self.number.is_some()
@@ -53,6 +63,7 @@ impl DeadWindowArgs {
             let deleted = access.with(global, async |_, context| {
                 Ok(dead_letters::delete(&context, &filter).await?)
             })?;
+            self.ensure_found(deleted)?;
             return say!("{deleted} deleted");
         }
         let windows = access.with(global, async |_, context| {
@@ -87,6 +98,22 @@ impl RetryArgs {
         let replayed = access.with(global, async |_, context| {
             Ok(dead_letters::replay(&context, &filter).await?)
         })?;
+        self.which.ensure_found(replayed)?;
         say!("{replayed} back in the queue")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_that_no_window_has_is_an_error_and_an_empty_list_is_none() {
+        let found = |number, windows| {
+            let which = DeadWindowArgs { hob: None, number };
+            which.ensure_found(windows).is_ok()
+        };
+        assert!(found(None, 0) && found(None, 2) && found(Some(7), 1));
+        assert!(!found(Some(7), 0));
     }
 }
