@@ -226,40 +226,8 @@ fn server(text: &mut Exposition, app: &App) {
 }
 
 fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
-    text.family(
-        "device_state",
-        "1 for the present state of a device",
-        "gauge",
-    );
-    for device in devices {
-        for state in DeviceState::ALL {
-            let labels = [("device", device.name.as_str()), ("state", state.as_str())];
-            let value = f64::from(u8::from(device.state == state));
-            text.sample("device_state", &labels, value);
-        }
-    }
-    text.family(
-        "windows_total",
-        "Windows of a device since the start of the daemon, by outcome",
-        "counter",
-    );
-    for device in devices {
-        let w = &device.windows;
-        for (outcome, count) in [
-            ("announced", w.announced),
-            ("stored", w.stored),
-            ("refused", w.refused),
-            ("dropped-by-device", w.dropped_by_device),
-            ("lost", w.lost),
-            ("not-stored", w.not_stored),
-            ("learned", w.learned),
-            ("unfit", w.unfit),
-            ("unlearned", w.unlearned),
-        ] {
-            let labels = [("device", device.name.as_str()), ("fate", outcome)];
-            text.sample("windows_total", &labels, count as f64);
-        }
-    }
+    states(text, devices);
+    windows(text, devices);
     family_of_devices(
         text,
         devices,
@@ -292,6 +260,48 @@ fn devices(text: &mut Exposition, devices: &[DeviceReport]) {
         "gauge",
         |d| Some(f64::from(d.lookup.observed_cells)),
     );
+}
+
+/// Writes the states of all devices.
+fn states(text: &mut Exposition, devices: &[DeviceReport]) {
+    text.family(
+        "device_state",
+        "1 for the present state of a device",
+        "gauge",
+    );
+    for device in devices {
+        for state in DeviceState::ALL {
+            let labels = [("device", device.name.as_str()), ("state", state.as_str())];
+            let value = f64::from(u8::from(device.state == state));
+            text.sample("device_state", &labels, value);
+        }
+    }
+}
+
+/// Writes the outcomes of all windows.
+fn windows(text: &mut Exposition, devices: &[DeviceReport]) {
+    text.family(
+        "windows_total",
+        "Windows of a device since the start of the daemon, by outcome",
+        "counter",
+    );
+    for device in devices {
+        let w = &device.windows;
+        for (outcome, count) in [
+            ("announced", w.announced),
+            ("stored", w.stored),
+            ("refused", w.refused),
+            ("dropped-by-device", w.dropped_by_device),
+            ("lost", w.lost),
+            ("not-stored", w.not_stored),
+            ("learned", w.learned),
+            ("unfit", w.unfit),
+            ("unlearned", w.unlearned),
+        ] {
+            let labels = [("device", device.name.as_str()), ("fate", outcome)];
+            text.sample("windows_total", &labels, count as f64);
+        }
+    }
 }
 
 /// Writes a family with one sample per device of which the value is known.

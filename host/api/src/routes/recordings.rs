@@ -117,16 +117,7 @@ pub(super) async fn one(
         Format::Npz => (BYTES, "npz", Some(RecordingTable::Arrays)),
     };
     let is_stored_file = table.is_none();
-    let (file, damaged_records, permit) = match table {
-        None => {
-            let opened = blocking(move || File::open(path)).await;
-            (opened.map_err(|e| unreadable(&e))?, 0, None)
-        }
-        Some(which) => {
-            let (file, damaged_records, permit) = converted(path, which).await?;
-            (file, damaged_records, Some(permit))
-        }
-    };
+    let (file, damaged_records, permit) = opened(path, table).await?;
     let metadata = file.metadata().map_err(|e| unreadable(&e))?;
     let mut headers = HeaderMap::new();
     let part = match is_stored_file {
@@ -163,6 +154,19 @@ pub(super) async fn one(
     };
     headers.insert(CONTENT_LENGTH, length.into());
     Ok((status, headers, streamed(file, from, length, permit)).into_response())
+}
+
+/// File to send, the number of damaged records that it lacks, and the permit for a table.
+type Opened = (File, u32, Option<SemaphorePermit<'static>>);
+
+/// Opens a recording, or converts it to a table.
+async fn opened(path: PathBuf, table: Option<RecordingTable>) -> Result<Opened, ErrorResponse> {
+    let Some(which) = table else {
+        let file = blocking(move || File::open(path)).await;
+        return Ok((file.map_err(|e| unreadable(&e))?, 0, None));
+    };
+    let (file, damaged_records, permit) = converted(path, which).await?;
+    Ok((file, damaged_records, Some(permit)))
 }
 
 /// Returns an ETag from time of change and length: the file of an active recording grows.
