@@ -1,9 +1,10 @@
 //! Certificate in use: read again when its files change, and watched for its end.
 
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, SystemTime};
 
+use ihd_daemon::locking::lock;
 use tokio::time::Instant;
 use tokio_rustls::TlsAcceptor;
 
@@ -88,7 +89,7 @@ impl ServedTls {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

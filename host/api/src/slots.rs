@@ -11,8 +11,9 @@
 //! last request is the oldest. If each has a request in progress, a newly admitted connection is served in its unadmitted slot.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 
+use ihd_daemon::locking::lock;
 use tokio::sync::watch;
 
 /// Slots of connections without an admitted request.
@@ -79,8 +80,7 @@ pub(crate) struct ConnectionSlots(Arc<Mutex<Table>>);
 
 impl ConnectionSlots {
     fn lock(&self) -> MutexGuard<'_, Table> {
-        // Poisoning is ignored: no lock scope leaves a half-written value.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 
     /// Returns a slot for a newly accepted connection; evicts another connection if no slot is free.

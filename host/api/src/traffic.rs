@@ -5,12 +5,13 @@
 
 use std::collections::BTreeMap;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
+use ihd_daemon::locking::lock;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep, timeout};
 
@@ -62,9 +63,7 @@ impl Traffic {
     }
 
     fn unread(&self) -> MutexGuard<'_, UnreadResponses> {
-        // Poisoning is ignored: no lock scope leaves a half-written value.
-        let unread = &self.0.unread;
-        unread.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0.unread)
     }
 
     /// Completes once no request was in progress for [`HEAD_TIMEOUT`].

@@ -29,7 +29,7 @@ mod hob;
 pub mod learning;
 pub mod lease;
 pub mod live;
-mod locking;
+pub mod locking;
 mod machine;
 mod pot_tracker;
 mod printable;

@@ -1,8 +1,9 @@
 //! Tokens in use: read again when their file changes, so that one that is taken out of it ends.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
+use ihd_daemon::locking::lock;
 use ihd_model::Role;
 
 use super::tokens::{TokenError, Tokens};
@@ -66,7 +67,6 @@ impl ServedTokens {
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
-        // Poisoning is ignored: no lock scope leaves a half-written value.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }

@@ -1,8 +1,9 @@
 //! Sessions of browsers that have presented a token. Each has its own key, valid until the session or the daemon ends.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
+use ihd_daemon::locking::lock;
 use ihd_model::Role;
 use subtle::ConstantTimeEq;
 use tokio::time::Instant;
@@ -28,8 +29,7 @@ pub(crate) struct Sessions(Mutex<Vec<Session>>);
 impl Sessions {
     /// Locks the sessions and removes those that have expired.
     fn lock(&self) -> MutexGuard<'_, Vec<Session>> {
-        // Poisoning is ignored: no lock scope leaves a half-written value.
-        let mut sessions = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut sessions = lock(&self.0);
         let now = Instant::now();
         sessions.retain(|session| now.saturating_duration_since(session.used) < LIFETIME);
         sessions

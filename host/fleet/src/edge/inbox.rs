@@ -7,13 +7,13 @@ use std::time::Duration;
 use futures_util::StreamExt;
 use ihd_daemon::fleet::ReceiveOutcome;
 use ihd_daemon::learning::WorkerAnswer;
+use ihd_daemon::locking::lock;
 use ihd_store::FleetMark;
 use tokio::time::Instant;
 
 use super::link::{Link, RESULTS};
 use super::outbox;
 use super::refusals::RETRY_PAUSE;
-use super::state::lock;
 use super::trust::WindowKey;
 use crate::jetstream::JetStreamError;
 use crate::names;

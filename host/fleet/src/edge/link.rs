@@ -10,11 +10,12 @@ use std::time::Duration;
 
 use futures_util::FutureExt;
 use ihd_daemon::Daemon;
+use ihd_daemon::locking::lock;
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
 
 use super::refusals::RETRY_PAUSE;
-use super::state::{State, lock};
+use super::state::State;
 use crate::server::FleetServer;
 use crate::standing::Standing;
 

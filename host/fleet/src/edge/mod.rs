@@ -37,6 +37,7 @@ use std::time::Duration;
 use async_nats::Event;
 use ihd_daemon::Daemon;
 use ihd_daemon::fleet::FleetConfig;
+use ihd_daemon::locking::lock;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
@@ -44,7 +45,6 @@ use crate::access::{Access, AccessError};
 use crate::server::FleetServer;
 
 use self::link::Link;
-use self::state::lock;
 
 pub(crate) use self::state::State;
 

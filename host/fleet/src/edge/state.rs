@@ -1,7 +1,7 @@
 //! State of an edge.
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use async_nats::Event;
 use tokio::time::Instant;
@@ -68,9 +68,4 @@ impl State {
             Event::SlowConsumer(_) => {}
         }
     }
-}
-
-pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Poisoning is ignored: no lock scope leaves a half-written value.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

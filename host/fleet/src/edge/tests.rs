@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_daemon::locking::lock;
 use ihd_daemon::simulation::{HobKind, World, spawn_learner, start};
 use ihd_daemon::{Daemon, DaemonConfig};
 use ihd_link::Window;
@@ -18,7 +19,7 @@ use tokio::time::sleep;
 
 use super::link::Link;
 use super::lookups::{PushOutcome, push};
-use super::state::{State, lock};
+use super::state::State;
 use super::{events, given_up, inbox, outbox};
 use crate::lookups::LookupMessage;
 use crate::names;

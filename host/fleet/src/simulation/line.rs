@@ -8,13 +8,14 @@ use async_nats::jetstream::AckKind;
 use bytes::Bytes;
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream};
+use ihd_daemon::locking::lock;
 use ihd_daemon::simulation::World;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use tokio::time::{Instant, sleep};
 
 use super::server::{Consumer, ServerMemory, StreamEntry};
-use crate::edge::state::{State, lock};
+use crate::edge::state::State;
 use crate::jetstream::JetStreamError;
 use crate::names;
 use crate::stream_message::{Acknowledged, Outgoing, PendingAck, PublishFailure, StoredMessage};

@@ -1,11 +1,12 @@
 //! Simulated server: streams and the consumers of edge and workers, with the rules of JetStream that the fleet relies on.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 use async_nats::HeaderMap;
 use bytes::Bytes;
+use ihd_daemon::locking::lock;
 
 use crate::jetstream::{ACK_WAIT, DUPLICATES_WITHIN};
 use crate::names;
@@ -244,6 +245,6 @@ impl ServerMemory {
 
     /// Returns its disk.
     pub fn disk(&self) -> MutexGuard<'_, ServerDisk> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
