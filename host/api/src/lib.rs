@@ -12,7 +12,6 @@ pub mod access;
 pub mod client;
 mod connection;
 mod percent;
-mod private_file;
 mod problem;
 mod prometheus;
 mod routes;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use ihd_daemon::private_file::create_private;
 use rustls::client::WebPkiServerVerifier;
 use rustls::client::danger::ServerCertVerifier;
 use rustls::crypto::ring::{cipher_suite, default_provider};
@@ -13,8 +14,6 @@ use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName, UnixTime};
 use rustls::{CertificateError, RootCertStore, ServerConfig};
 use thiserror::Error;
-
-use crate::private_file::create_private;
 
 /// ALPN name of HTTP/2.
 pub(crate) const HTTP2: &[u8] = b"h2";

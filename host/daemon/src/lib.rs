@@ -33,6 +33,7 @@ pub mod locking;
 mod machine;
 mod pot_tracker;
 mod printable;
+pub mod private_file;
 pub mod recording;
 mod result_route;
 mod running;

@@ -4,12 +4,11 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use ihd_daemon::private_file::{create_private, mode_open_to_others};
 use ihd_model::Role;
 use rustls::crypto::ring;
 use subtle::{Choice, ConditionallySelectable, ConstantTimeEq};
 use thiserror::Error;
-
-use crate::private_file::create_private;
 
 /// Random bytes of a generated token, which is written in hexadecimal.
 const TOKEN_BYTES: usize = 32;
@@ -183,31 +182,18 @@ pub(crate) fn random_token() -> Result<String, TokenError> {
     Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
 }
 
-#[cfg(unix)]
 fn refuse_if_open_to_others(file: &fs::File, path: &Path) -> Result<(), TokenError> {
-    use std::os::unix::fs::PermissionsExt;
-    let mode = file
-        .metadata()
-        .map_err(|source| TokenError::Io {
-            path: path.into(),
-            source,
-        })?
-        .permissions()
-        .mode()
-        & 0o777;
-    if mode & 0o077 != 0 {
-        return Err(TokenError::Open {
+    let open = mode_open_to_others(file).map_err(|source| TokenError::Io {
+        path: path.into(),
+        source,
+    })?;
+    match open {
+        Some(mode) => Err(TokenError::Open {
             path: path.into(),
             mode,
-        });
+        }),
+        None => Ok(()),
     }
-    Ok(())
-}
-
-/// On other systems the folder's access list must restrict access (docs/daemon.md).
-#[cfg(not(unix))]
-fn refuse_if_open_to_others(_: &fs::File, _: &Path) -> Result<(), TokenError> {
-    Ok(())
 }
 
 #[cfg(test)]

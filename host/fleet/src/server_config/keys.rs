@@ -1,10 +1,11 @@
 //! Keys of a site: one file for each seed, readable by its owner only.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
+use ihd_daemon::private_file::{create_private, mode_open_to_others};
 use nkeys::{KeyPair, KeyPairType};
 
 /// Extension of a seed file.
@@ -147,13 +148,9 @@ fn make_folder(folder: &Path) -> io::Result<()> {
     builder.create(folder)
 }
 
-/// Writes a new file that is readable by the owner only from its creation on; fails if it exists.
+/// Writes a new file for its owner alone.
 fn write_new(path: &Path, seed: &str) -> io::Result<()> {
-    let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let mut file = options.open(path)?;
+    let mut file = create_private(path)?;
     writeln!(file, "{seed}")?;
     file.sync_all()
 }
@@ -162,25 +159,18 @@ fn write_new(path: &Path, seed: &str) -> io::Result<()> {
 ///
 /// # Errors
 /// [`KeyError::Open`].
-#[cfg(unix)]
 pub(crate) fn refuse_if_open_to_others(file: &File, path: &Path) -> Result<(), KeyError> {
-    let metadata = file.metadata().map_err(|source| KeyError::Io {
+    let open = mode_open_to_others(file).map_err(|source| KeyError::Io {
         path: path.into(),
         source,
     })?;
-    let mode = std::os::unix::fs::MetadataExt::mode(&metadata) & 0o777;
-    if mode & 0o077 != 0 {
-        return Err(KeyError::Open {
+    match open {
+        Some(mode) => Err(KeyError::Open {
             path: path.into(),
             mode,
-        });
+        }),
+        None => Ok(()),
     }
-    Ok(())
-}
-
-#[cfg(not(unix))]
-pub(crate) fn refuse_if_open_to_others(_: &File, _: &Path) -> Result<(), KeyError> {
-    Ok(())
 }
 
 #[cfg(test)]
