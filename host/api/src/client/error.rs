@@ -43,4 +43,12 @@ pub enum ClientError {
         /// Reason.
         why: String,
     },
+    /// What came cannot be written on this machine.
+    #[error("{file} cannot be written here: {why}")]
+    Write {
+        /// Name of the recording.
+        file: String,
+        /// Reason.
+        why: String,
+    },
 }

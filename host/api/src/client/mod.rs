@@ -6,7 +6,7 @@ mod history;
 mod names;
 mod pinned;
 
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -44,6 +44,9 @@ const SILENCE_TIMEOUT: Duration = Duration::from_secs(45);
 
 /// Maximum size of a response, in bytes.
 const MAX_RESPONSE_BYTES: u64 = 64 << 20;
+
+/// Number of bytes of a recording that are copied at once.
+const COPIED_BYTES: usize = 1 << 16;
 
 /// Client of one daemon.
 #[derive(Clone)]
@@ -187,10 +190,26 @@ impl ApiClient {
     ) -> Result<u64, ClientError> {
         let answer = self.stream(&format!("/recordings/{}", encoded(file)))?;
         let mut body = answer.into_body().into_reader();
-        std::io::copy(&mut body, to).map_err(|e| ClientError::Unreachable {
-            url: self.url.clone(),
-            why: format!("{file} was not copied whole: {e}"),
-        })
+        let (mut part, mut length) = (vec![0; COPIED_BYTES], 0);
+        loop {
+            let read = match body.read(&mut part) {
+                Ok(0) => return Ok(length),
+                Ok(read) => read,
+                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
+                Err(e) => {
+                    return Err(ClientError::Unreachable {
+                        url: self.url.clone(),
+                        why: format!("{file} was not copied whole: {e}"),
+                    });
+                }
+            };
+            to.write_all(&part[..read])
+                .map_err(|e| ClientError::Write {
+                    file: file.to_owned(),
+                    why: e.to_string(),
+                })?;
+            length += read as u64;
+        }
     }
 
     /// Sends a command to a device.

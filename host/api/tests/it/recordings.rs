@@ -79,6 +79,10 @@ fn a_recording_is_listed_and_downloaded_as_it_is() {
     ] {
         assert!(head.contains(line), "{line} not in {head}");
     }
+    let mut small = [0; 10];
+    let full = client.download_recording(NAME, &mut &mut small[..]);
+    let full = full.unwrap_err();
+    assert!(matches!(full, ClientError::Write { .. }), "{full}");
     match client
         .download_recording("none.mcap", &mut here)
         .unwrap_err()

@@ -158,6 +158,6 @@ fn of_client(error: &ihd_api::client::ClientError) -> Exit {
     match error {
         E::Command(error) => of_command(error),
         E::Unreachable { .. } | E::UnexpectedResponse { .. } => Exit::NoDevice,
-        E::Refused { .. } | E::Certificate { .. } => Exit::Failed,
+        E::Refused { .. } | E::Certificate { .. } | E::Write { .. } => Exit::Failed,
     }
 }
