@@ -16,6 +16,8 @@ fuzz_target!(|bytes: &[u8]| {
         std::env::temp_dir().join(name)
     };
     std::fs::write(&path, bytes).expect("room for one input");
+    // As the program reads it, past damage; and up to the first damage.
+    let _ = mcap::salvage(&path);
     let _ = mcap::read(&path);
     if let Ok(mut session) = SessionReader::open(&path) {
         while let Ok(Some(_)) = session.next_event() {}
