@@ -175,7 +175,7 @@ fn fleet(text: &mut Exposition, fleet: &FleetReport, now_ms: i64) {
         ),
         (
             "fleet_alarms",
-            "Alarms of this edge: windows that stay in a state for too long, a name used by another store, a worker with refuted results",
+            "Alarms of this edge: windows that stay in a state for too long, a name used by another store, a worker with refuted results, a part that fails",
             Some(fleet.alarms.len() as f64),
         ),
     ] {
