@@ -36,6 +36,8 @@ pub struct FakeProgrammer {
     pub options: OptionBytes,
     /// `true` if the outputs are on; `None` if this access cannot see it.
     pub switching: Option<bool>,
+    /// `true` if the outputs are on after the reset by which option bytes are loaded.
+    pub switches_after_options: bool,
     /// Next failure.
     pub failure: Option<Failure>,
     /// Number of resets.
@@ -51,6 +53,7 @@ impl Default for FakeProgrammer {
             flash: vec![0xFF; FLASH_BYTES as usize],
             options: OptionBytes::default().with_requirements(),
             switching: Some(false),
+            switches_after_options: false,
             failure: None,
             resets: 0,
             calls: Vec::new(),
@@ -158,6 +161,9 @@ impl Programmer for FakeProgrammer {
         self.lose(FlashStep::SettingOptions)?;
         self.options = *target;
         self.resets += 1;
+        if self.switches_after_options {
+            self.switching = Some(true);
+        }
         Ok(())
     }
 

@@ -147,11 +147,13 @@ pub enum InstallError {
     Program(#[from] ProgramError),
     /// The board heats.
     #[error(
-        "the board heats ({seen}); nothing was written. Switch it off, at its panel or by the host that heats it, and run this again"
+        "the board heats ({seen}); {written}. Switch it off, at its panel or by the host that heats it, and run this again"
     )]
     Heats {
         /// Source of this finding.
         seen: String,
+        /// What was written until then.
+        written: &'static str,
     },
     /// The image is on the chip, but the board does not answer.
     #[error(
@@ -196,14 +198,15 @@ pub fn install(
     report(InstallStep::Identified(&chip, &before));
     let heard = link.as_mut().and_then(|link| link.ask().ok());
     let heard = heard.filter(|heard| is_of(&chip, heard));
-    refuse_while_heating(programmer, heard.as_ref())?;
+    refuse_while_heating(programmer, heard.as_ref(), "nothing was written")?;
     let mut options = programmer.option_bytes()?;
     let mut deviations = options.deviations();
     report(InstallStep::Options(&deviations, plan.set_options));
     if plan.set_options && !deviations.is_empty() {
         programmer.set_option_bytes(&options.with_requirements())?;
         // The chip was reset, and its old program runs again.
-        refuse_while_heating(programmer, None)?;
+        let written = "its option bytes were set, the image was not written";
+        refuse_while_heating(programmer, None, written)?;
         options = programmer.option_bytes()?;
         deviations = options.deviations();
     }
@@ -244,14 +247,16 @@ fn is_of(chip: &Chip, heard: &RunningBoard) -> bool {
 fn refuse_while_heating(
     programmer: &mut dyn Programmer,
     heard: Option<&RunningBoard>,
+    written: &'static str,
 ) -> Result<(), InstallError> {
     if let Some(heard) = heard.filter(|heard| heard.heats) {
         let seen = format!("as it says over {}", heard.link);
-        return Err(InstallError::Heats { seen });
+        return Err(InstallError::Heats { seen, written });
     }
     match programmer.is_switching()? {
         Some(true) => Err(InstallError::Heats {
             seen: "the timer's outputs are on, as the probe reads".into(),
+            written,
         }),
         _ => Ok(()),
     }

@@ -107,6 +107,24 @@ fn a_board_that_heats_is_left_alone() {
     );
 }
 
+/// It was said that nothing was written.
+#[test]
+fn a_board_that_heats_after_its_option_bytes_were_set_is_told_as_it_is() {
+    let image = image(&SampleImage::default());
+    let mut fake = FakeProgrammer {
+        options: OptionBytes::default(),
+        switches_after_options: true,
+        ..Default::default()
+    };
+    let asked = InstallPlan {
+        set_options: true,
+        ..plan(&image)
+    };
+    let why = run(&mut fake, None, asked).unwrap_err().to_string();
+    assert!(why.contains("option bytes were set"), "{why}");
+    assert!(!fake.calls.contains(&"flash"));
+}
+
 #[test]
 fn what_is_on_a_chip_is_told() {
     let image = image(&SampleImage::default());
