@@ -69,12 +69,12 @@ class Lease:
             self._start_renewal()
             if self._power_w is not None:
                 self.power(self._power_w)
-        except BaseException:
-            self._end()
+        except BaseException as error:
+            _note(error, self._end())
             raise
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
         # First: whatever interrupts the rest, nothing renews the lease any more.
         self._ended.set()
         # Not between the end of the time that was given and off.
@@ -82,6 +82,8 @@ class Lease:
             lost = self._lost
             failed = self._end() if lost is None else None
         # An exception of the block is not hidden by another one.
+        if error is not None:
+            _note(error, failed)
         if kind is None and lost is not None:
             raise LeaseError(lost, "leased")
         if kind is None and failed is not None:
@@ -175,6 +177,13 @@ class Lease:
         except DaemonError:
             # It was lost, or runs out.
             pass
+
+
+def _note(error: BaseException, failed: DaemonError | None) -> None:
+    """Notes at an exception that the hob has not confirmed that it is off; Python 3.10 knows no notes."""
+    add = getattr(error, "add_note", None)
+    if failed is not None and add is not None:
+        add(str(failed))
 
 
 def _renew(of: weakref.ref[Lease], ended: threading.Event, until: float | None) -> None:

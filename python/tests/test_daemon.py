@@ -210,6 +210,14 @@ class Errors(unittest.TestCase):
                 ihd.Daemon(url, token="secret").devices()
         self.assertEqual(Server.seen[-1]["authorization"], "Bearer secret")
 
+    def test_an_exception_says_too_that_the_hob_was_not_switched_off(self) -> None:
+        # It gives the lease and knows no command.
+        with Server(200, b"{}") as url, self.assertRaises(KeyError) as caught:
+            with ihd.Daemon(url).device("bench").lease():
+                raise KeyError("mine")
+        if sys.version_info >= (3, 11):
+            self.assertIn("off within 10 s by itself", "".join(caught.exception.__notes__))
+
     def test_a_stream_that_breaks_is_an_error(self) -> None:
         with Server(200, b'data: {"event":"x"}\n\nevent: missed\ndata: {"missed":3}\n\ndata: {"a"\n\n') as url:
             events = ihd.Daemon(url).events()
@@ -232,6 +240,10 @@ class Server:
                 self.send_header("location", "http://127.0.0.1:1/")
                 self.end_headers()
                 self.wfile.write(body)
+
+            def do_PUT(self) -> None:
+                self.rfile.read(int(self.headers["content-length"]))
+                self.do_GET()
 
             def log_message(self, *_: object) -> None:
                 pass
