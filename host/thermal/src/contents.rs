@@ -93,7 +93,8 @@ pub struct ContentsFit {
     step_s: f64,
     steps: Vec<Step>,
     energy_j: f64,
-    sums: (f64, f64, usize),
+    /// Sum of ΔT in kelvin since the last whole step, and its number.
+    sums: (f64, usize),
     boiling: Option<Parameters>,
     dry: Option<Parameters>,
     state: ContentsState,
@@ -119,7 +120,7 @@ impl ContentsFit {
             step_s: STEP_S,
             steps: Vec::new(),
             energy_j: 0.0,
-            sums: (0.0, 0.0, 0),
+            sums: (0.0, 0),
             boiling: None,
             dry: None,
             state: ContentsState::default(),
@@ -137,30 +138,47 @@ impl ContentsFit {
         self.boiling.filter(|_| self.state.boils).map(|x| x[4])
     }
 
-    /// Adds energy in joule until `t_s`, and ΔT in kelvin at that time if it is known.
-    pub fn push(&mut self, t_s: f64, energy_j: f64, rise_k: Option<f64>) {
+    /// Adds energy in joule until `t_s`, and ΔT in kelvin at that time if it is known. Energy over more than one step's end, as after
+    /// lost half-cycles, is spread evenly; ΔT is that of the last step.
+    pub fn push(&mut self, t_s: f64, energy_j: f64, mut rise_k: Option<f64>) {
         self.energy_j += energy_j;
-        if let Some(rise_k) = rise_k {
-            self.sums.0 += rise_k;
-            self.sums.2 += 1;
-        }
-        while t_s >= self.began_s + (self.steps.len() + 1) as f64 * self.step_s {
+        let mean_w = self.energy_j / (t_s - self.end_s(0));
+        let spread_w = (t_s >= self.end_s(2)).then_some(mean_w);
+        while t_s >= self.end_s(1) {
             if self.steps.len() >= MAX_STEPS {
                 self.halve();
                 continue;
             }
-            let known = self.sums.2 > 0;
+            if t_s < self.end_s(2) {
+                self.add_rise(rise_k.take());
+            }
+            let energy_j = spread_w.map_or(self.energy_j, |power_w| power_w * self.step_s);
+            let (sum_k, count) = std::mem::take(&mut self.sums);
             self.steps.push(Step {
-                power_w: self.energy_j / self.step_s,
-                rise_k: known.then(|| self.sums.0 / self.sums.2 as f64),
+                power_w: energy_j / self.step_s,
+                rise_k: (count > 0).then(|| sum_k / count as f64),
             });
-            (self.energy_j, self.sums) = (0.0, (0.0, 0.0, 0));
+            self.energy_j -= energy_j;
             if self.steps.len() >= FIRST_BOILING_STEP
                 && self.steps.len().is_multiple_of(STEPS_PER_FIT)
             {
                 self.evaluate();
             }
         }
+        self.add_rise(rise_k);
+    }
+
+    /// Adds ΔT in kelvin to the mean of the step that is not whole yet.
+    fn add_rise(&mut self, rise_k: Option<f64>) {
+        if let Some(rise_k) = rise_k {
+            self.sums.0 += rise_k;
+            self.sums.1 += 1;
+        }
+    }
+
+    /// End in seconds of the step that is `n` steps after the last whole one.
+    fn end_s(&self, n: usize) -> f64 {
+        self.began_s + (self.steps.len() + n) as f64 * self.step_s
     }
 
     /// Doubles the steps' length and halves their number.
@@ -324,6 +342,24 @@ impl ContentsFit {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A link that is silent for ten seconds, while the hob heats with 1 kW.
+    #[test]
+    fn heat_of_a_gap_is_spread_over_its_steps_and_its_temperature_is_the_last_ones() {
+        let mut pot = ContentsFit::new(0.09, 0.0);
+        pot.push(1.0, 1_000.0, Some(2.0));
+        pot.push(11.0, 10_000.0, Some(8.0));
+        // What is left of it belongs to the next step.
+        pot.push(12.0, 1_000.0, None);
+        let powers_w: Vec<f64> = pot.steps.iter().map(|s| s.power_w).collect();
+        assert_eq!(powers_w.len(), 6);
+        assert!(
+            powers_w.iter().all(|w| (w - 1_000.0).abs() < 1e-9),
+            "{powers_w:?}"
+        );
+        let rises_k: Vec<_> = pot.steps.iter().map(|s| s.rise_k).collect();
+        assert_eq!(rises_k, [Some(2.0), None, None, None, Some(8.0), None]);
+    }
 
     #[test]
     fn an_uncovered_base_settles_where_its_losses_are_its_power() {
