@@ -80,7 +80,7 @@ impl Thermometer {
         if !h.heats {
             self.unseen_s += dt_s;
         }
-        self.last = Some(*h);
+        self.last = Some(ThermalHalfCycle { power_w, ..*h });
         let batch = self.batches.push(h);
         match &mut self.tracked {
             None => {
@@ -117,8 +117,8 @@ impl Thermometer {
         let radius_m = placed.pot.radius_m;
         let area_m2 = std::f64::consts::PI * radius_m * radius_m;
         let base_j_per_k = BASE_J_PER_M2K * area_m2 + WALL_J_PER_K;
-        let rise_k = self.energy_j / base_j_per_k;
-        let rate_k_per_s = self.last.map_or(0.0, |last| last.power_w) / base_j_per_k;
+        let power_w = self.last.map_or(0.0, |last| last.power_w);
+        let (rise_k, rate_k_per_s) = (self.energy_j / base_j_per_k, power_w / base_j_per_k);
         self.events.push(PotEvent::Placed {
             diameter_m: 2.0 * placed.pot.radius_m,
             is_cast_iron: placed.metal == MetalLaw::CAST_IRON,
@@ -131,7 +131,6 @@ impl Thermometer {
         let (effect, spread) = self.alloys.effect(&placed, class_spread);
         let mut contents = ContentsFit::new(placed.pot.radius_m, t_s);
         contents.push(t_s, self.energy_j, Some(rise_k));
-        let power_w = self.last.map_or(0.0, |last| last.power_w);
         let metal = placed.metal.with_effect(effect);
         let filter =
             ThermalFilter::new(placed.pot, metal, t_s, (rise_k, rate_k_per_s), base_j_per_k);

@@ -386,6 +386,27 @@ fn what_is_no_measurement_changes_nothing_and_another_time_begins_anew() {
 }
 
 #[test]
+fn a_pot_is_followed_whose_power_is_no_number() {
+    let mut k = Kitchen::new("ferritic-21", "water-2", 5);
+    for bad in [f64::NAN, f64::INFINITY] {
+        let mut thermometer = Thermometer::default();
+        k.cooking.set_power(1500.0);
+        for _ in 0..300 {
+            let half_cycle = seen(&k.cooking.half_cycle());
+            thermometer.push(&ThermalHalfCycle {
+                power_w: bad,
+                ..half_cycle
+            });
+        }
+        let reading = thermometer.reading().unwrap();
+        assert!(
+            reading.rise_k.is_finite() && reading.sigma_k.is_finite(),
+            "{reading:?}"
+        );
+    }
+}
+
+#[test]
 fn heat_of_a_gap_is_not_that_of_the_pot_after_it() {
     let mut k = Kitchen::new("ferritic-18", "water-2", 5).cook(20.0, |_, _| 1500.0);
     k.thermometer.take_events();
