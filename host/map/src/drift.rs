@@ -71,14 +71,17 @@ impl Drift {
         expected + gains[0] * surprise
     }
 
-    /// Returns `true` if windows can have produced these numbers.
+    /// Returns `true` if windows can have produced these numbers: the variance of the drift never exceeds that of the process, and the
+    /// covariance with the level is positive.
     pub fn is_sound(&self) -> bool {
-        let most = MAX_DEVIATIONS * DRIFT_PER_S[0];
-        self.per_s.abs() <= most
+        let most = DRIFT_PER_S[0];
+        // Rounding may add a little.
+        let most_variance = 1.01 * most * most;
+        let most_covariance = (MAX_LEVEL_VARIANCE * most_variance).sqrt();
+        self.per_s.abs() <= MAX_DEVIATIONS * most
             && (0.0..=MAX_LEVEL_VARIANCE).contains(&self.level_variance)
-            && self.per_s_variance >= 0.0
-            && self.per_s_variance.is_finite()
-            && self.covariance.is_finite()
+            && (0.0..=most_variance).contains(&self.per_s_variance)
+            && (0.0..=most_covariance).contains(&self.covariance)
     }
 }
 
@@ -95,6 +98,27 @@ mod tests {
         let level = drift.follow(0, 0.0, Some((0.3, 1e-6)));
         assert!((level - 0.3).abs() < 1e-5, "{level}");
         assert!(drift.is_sound() && drift.level_variance() <= 1e-6);
+    }
+
+    /// Each would make a deviation that is none of the next window's level, which has no range then.
+    #[test]
+    fn numbers_that_no_window_gives_are_unsound() {
+        let sound = Drift::new(0, 1e-7);
+        assert!(sound.is_sound());
+        for covariance in [-1e-2, 1e300, f64::NAN] {
+            let bad = Drift {
+                covariance,
+                ..sound
+            };
+            assert!(!bad.is_sound(), "{bad:?}");
+        }
+        for per_s_variance in [-1e-9, 1e300, f64::INFINITY] {
+            let bad = Drift {
+                per_s_variance,
+                ..sound
+            };
+            assert!(!bad.is_sound(), "{bad:?}");
+        }
     }
 
     #[test]
