@@ -71,7 +71,8 @@ pub struct FleetStates {
 impl FleetStates {
     /// Returns the number of all windows.
     pub fn stored(&self) -> u64 {
-        self.by_name().iter().map(|(_, windows)| windows).sum()
+        let windows = self.by_name().map(|(_, windows)| windows);
+        windows.into_iter().fold(0, u64::saturating_add)
     }
 
     /// Adds the counts of other windows.
@@ -79,13 +80,13 @@ impl FleetStates {
     pub fn and(self, other: Self) -> Self {
         let first = |a: Option<i64>, b: Option<i64>| a.into_iter().chain(b).min();
         Self {
-            not_for_fleet: self.not_for_fleet + other.not_for_fleet,
-            due: self.due + other.due,
-            sent: self.sent + other.sent,
-            answered: self.answered + other.answered,
-            learned_here: self.learned_here + other.learned_here,
-            no_samples: self.no_samples + other.no_samples,
-            dead: self.dead + other.dead,
+            not_for_fleet: self.not_for_fleet.saturating_add(other.not_for_fleet),
+            due: self.due.saturating_add(other.due),
+            sent: self.sent.saturating_add(other.sent),
+            answered: self.answered.saturating_add(other.answered),
+            learned_here: self.learned_here.saturating_add(other.learned_here),
+            no_samples: self.no_samples.saturating_add(other.no_samples),
+            dead: self.dead.saturating_add(other.dead),
             due_since_ms: first(self.due_since_ms, other.due_since_ms),
             sent_since_ms: first(self.sent_since_ms, other.sent_since_ms),
         }
@@ -195,4 +196,22 @@ pub struct FleetDevice {
     pub outdated: bool,
     /// Time of its last message, in milliseconds since 1970, UTC.
     pub last_seen_ms: i64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts come from other machines.
+    #[test]
+    fn counts_beyond_all_numbers_are_the_largest_one() {
+        let forged = FleetStates {
+            due: u64::MAX,
+            sent: 1,
+            ..FleetStates::default()
+        };
+        assert_eq!(forged.stored(), u64::MAX);
+        let both = forged.and(forged);
+        assert_eq!((both.due, both.sent), (u64::MAX, 2));
+    }
 }
