@@ -360,6 +360,18 @@ mod tests {
         for r in &all {
             println!("{r:?}");
         }
+        // The table of docs/simulator.md, to its last digit.
+        let documented_khz = [
+            [27.3, 29.2, 33.3, 34.6],
+            [22.9, 24.7, 28.4, 29.5],
+            [27.3, 31.7, 39.5, 41.2],
+            [22.9, 27.2, 33.8, 35.2],
+        ];
+        for (r, khz) in all.iter().zip(documented_khz) {
+            for (f_hz, khz) in r.f_hz.iter().zip(khz) {
+                assert!((1e-3 * f_hz - khz).abs() < 0.055, "{khz} kHz: {r:?}");
+            }
+        }
         let (low, high) = (all[0].f_hz[0], all[0].f_hz[3]);
         assert!(low > 27e3 && high < 36e3, "{low} to {high} Hz");
         assert!(low < 29e3 && high > 34e3, "{low} to {high} Hz");

@@ -7,7 +7,7 @@ use super::error::{FieldError, in_range};
 /// Share of the 23 turns that acts on the field: H and flux linkage both scale with it, L and R
 /// with its square.
 ///
-/// Pure geometry (1.0) gives 45 kHz inductances of 44 µH (no current) to 28 µH (45 A), a resonance interval of 23-29 kHz with
+/// Pure geometry (1.0) gives 45 kHz inductances of 45 µH (no current) to 28 µH (45 A), a resonance interval of 23-29 kHz with
 /// 1080 nF; the paper reads 27-36 kHz from its simulation and 29-34 kHz from its prototype. With 0.84 the interval lies within
 /// the first and contains the second (test `resonance_interval_is_the_papers`). The paper leaves the ferrite's permeability,
 /// thickness and radius open, and does not state how its permeability law was evaluated at an amplitude;
