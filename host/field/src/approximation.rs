@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn linear_case_agrees_with_the_layered_integral_within_three_percent() {
+    fn linear_case_agrees_with_the_layered_integral() {
         for (material, f_hz) in [
             (Material::PAPER, 20e3),
             (Material::STAINLESS_304, 45e3),
@@ -344,10 +344,10 @@ mod tests {
             let at = |share| harmonics_in_the_current(f_hz, 320.0, share).unwrap();
             // The same current gives the same R and L, up to the experiment's own error.
             within(&at(1.0), 0.1, 0.1);
-            // Without harmonics R is wrong by more than 2 %, and the way there is even.
+            // Without harmonics R is wrong by more than 3 %, and the way there is even.
             let (none, half) = (at(0.0), at(0.5));
-            within(&none, 10.0, 2.0);
-            assert!(none.r_pct.abs() > 1.0, "{none:?}");
+            within(&none, 6.0, 1.0);
+            assert!(none.r_pct.abs() > 3.0, "{none:?}");
             assert!(half.r_pct.abs() > 0.3 * none.r_pct.abs());
             assert!(half.r_pct.abs() < 0.7 * none.r_pct.abs());
         }
