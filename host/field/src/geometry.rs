@@ -104,68 +104,73 @@ impl Geometry {
 
     /// Checks every dimension and their order.
     pub fn check(&self) -> Result<(), FieldError> {
-        in_range("turns", self.turns, 1.0, 1e4, "1 to 10000")?;
-        let mm = "0.1 mm to 1 m";
-        for (field, value) in [
-            ("coil_outer_m", self.coil_outer_m),
-            ("coil_thickness_m", self.coil_thickness_m),
-            ("load_gap_m", self.load_gap_m),
-            ("load_radius_m", self.load_radius_m),
-            ("load_thickness_m", self.load_thickness_m),
-            ("wall_thickness_m", self.wall_thickness_m),
-            ("ferrite_gap_m", self.ferrite_gap_m),
-            ("ferrite_thickness_m", self.ferrite_thickness_m),
-            ("ferrite_radius_m", self.ferrite_radius_m),
-            ("shield_gap_m", self.shield_gap_m),
-        ] {
-            in_range(field, value, 1e-4, 1.0, mm)?;
-        }
-        in_range("coil_inner_m", self.coil_inner_m, 0.0, 1.0, "0 to 1 m")?;
-        in_range(
-            "foil_thickness_m",
-            self.foil_thickness_m,
-            0.0,
-            0.1,
-            "0 to 100 mm",
-        )?;
-        in_range("wall_height_m", self.wall_height_m, 0.0, 0.3, "0 to 0.3 m")?;
-        in_range(
-            "shield_thickness_m",
-            self.shield_thickness_m,
-            0.0,
-            0.05,
-            "0 to 50 mm",
-        )?;
-        in_range("ferrite_mu_r", self.ferrite_mu_r, 1.0, 1e5, "1 to 100000")?;
-        in_range(
-            "turns_calibration",
-            self.turns_calibration,
-            0.1,
-            2.0,
-            "0.1 to 2",
-        )?;
-        in_range("hole_radius_m", self.hole_radius_m, 0.0, 1.0, "0 to 1 m")?;
-        let mut ordered = vec![
+        self.check_ranges()?;
+        self.check_order()
+    }
+
+    fn check_ranges(&self) -> Result<(), FieldError> {
+        let part = (1e-4, 1.0, "0.1 mm to 1 m");
+        let metre = (0.0, 1.0, "0 to 1 m");
+        // Below a tenth of a millimetre the depth has no grid.
+        let foil = match self.foil_thickness_m == 0.0 {
+            true => (0.0, 0.0, "0"),
+            false => (1e-4, 0.1, "0, or 0.1 mm to 100 mm"),
+        };
+        let ranges = [
+            ("turns", self.turns, (1.0, 1e4, "1 to 10000")),
+            ("coil_outer_m", self.coil_outer_m, part),
+            ("coil_thickness_m", self.coil_thickness_m, part),
+            ("load_gap_m", self.load_gap_m, part),
+            ("load_radius_m", self.load_radius_m, part),
+            ("load_thickness_m", self.load_thickness_m, part),
+            ("wall_thickness_m", self.wall_thickness_m, part),
+            ("ferrite_gap_m", self.ferrite_gap_m, part),
+            ("ferrite_thickness_m", self.ferrite_thickness_m, part),
+            ("ferrite_radius_m", self.ferrite_radius_m, part),
+            ("shield_gap_m", self.shield_gap_m, part),
+            ("coil_inner_m", self.coil_inner_m, metre),
+            ("foil_thickness_m", self.foil_thickness_m, foil),
+            (
+                "wall_height_m",
+                self.wall_height_m,
+                (0.0, 0.3, "0 to 0.3 m"),
+            ),
+            (
+                "shield_thickness_m",
+                self.shield_thickness_m,
+                (0.0, 0.05, "0 to 50 mm"),
+            ),
+            ("ferrite_mu_r", self.ferrite_mu_r, (1.0, 1e5, "1 to 100000")),
+            (
+                "turns_calibration",
+                self.turns_calibration,
+                (0.1, 2.0, "0.1 to 2"),
+            ),
+            ("hole_radius_m", self.hole_radius_m, metre),
+        ];
+        ranges
+            .into_iter()
+            .try_for_each(|(field, value, (min, max, allowed))| {
+                in_range(field, value, min, max, allowed)
+            })
+    }
+
+    fn check_order(&self) -> Result<(), FieldError> {
+        let radius = ("load_radius_m", self.load_radius_m);
+        let thickness = ("load_thickness_m", self.load_thickness_m);
+        let has_wall = self.wall_height_m > 0.0;
+        let wall = (("wall_thickness_m", self.wall_thickness_m), radius);
+        let ordered = [
             (
                 ("coil_inner_m", self.coil_inner_m),
                 ("coil_outer_m", self.coil_outer_m),
             ),
-            (
-                ("hole_radius_m", self.hole_radius_m),
-                ("load_radius_m", self.load_radius_m),
-            ),
-            (
-                ("foil_thickness_m", self.foil_thickness_m),
-                ("load_thickness_m", self.load_thickness_m),
-            ),
+            (("hole_radius_m", self.hole_radius_m), radius),
+            (("foil_thickness_m", self.foil_thickness_m), thickness),
         ];
-        if self.wall_height_m > 0.0 {
-            ordered.push((
-                ("wall_thickness_m", self.wall_thickness_m),
-                ("load_radius_m", self.load_radius_m),
-            ));
-        }
-        for ((smaller, smaller_m), (larger, larger_m)) in ordered {
+        for ((smaller, smaller_m), (larger, larger_m)) in
+            ordered.into_iter().chain(has_wall.then_some(wall))
+        {
             if smaller_m >= larger_m {
                 return Err(FieldError::Order {
                     smaller,
@@ -252,5 +257,9 @@ mod tests {
         let mut g = Geometry::paper();
         g.load_gap_m = f64::NAN;
         assert!(g.check().unwrap_err().to_string().contains("load_gap_m"));
+        let mut g = Geometry::paper();
+        g.foil_thickness_m = 50e-6;
+        let why = g.check().unwrap_err().to_string();
+        assert!(why.starts_with("foil_thickness_m"), "{why}");
     }
 }
