@@ -5,7 +5,7 @@
 //! may grow with temperature: oil, food, an empty pot, a simmer that comes to rest. Boiling is reported only if the second model
 //! explains the curve much worse.
 
-use crate::gauss_newton::{FitResult, Prior, fit};
+use crate::least_squares::{FitResult, Prior, fit};
 
 /// Initial step of the models in seconds; doubled when there are too many steps.
 const STEP_S: f64 = 2.0;

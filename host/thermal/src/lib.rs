@@ -12,7 +12,7 @@ mod alloy;
 pub mod batch;
 pub mod contents;
 pub mod filter;
-mod gauss_newton;
+mod least_squares;
 pub mod metal;
 pub mod placement;
 mod pot_reading;

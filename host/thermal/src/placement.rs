@@ -4,7 +4,7 @@ use ihd_map::PotModel;
 use ihd_shared::hob::F_SW_MAX_HZ;
 
 use crate::batch::ThermalHalfCycle;
-use crate::gauss_newton::{Prior, fit};
+use crate::least_squares::{Prior, fit};
 use crate::metal::MetalLaw;
 
 /// Most operating points that are kept.

@@ -17,46 +17,57 @@ pub(crate) struct FitResult<const N: usize> {
     pub chi2: f64,
 }
 
+/// Residuals of a fit, and the priors of its parameters.
+struct Problem<'a, const N: usize, F> {
+    priors: &'a [Prior; N],
+    residuals: F,
+}
+
+impl<const N: usize, F: FnMut(&[f64; N], &mut Vec<f64>)> Problem<'_, N, F> {
+    /// Sets `out` to all residuals, those of the priors last; returns the sum of their squares, which is infinite if one is not finite.
+    fn evaluate(&mut self, x: &[f64; N], out: &mut Vec<f64>) -> f64 {
+        out.clear();
+        (self.residuals)(x, out);
+        for (x, prior) in x.iter().zip(self.priors) {
+            out.push((x - prior.mean) / prior.sigma);
+        }
+        let sum: f64 = out.iter().map(|r| r * r).sum();
+        if sum.is_finite() { sum } else { f64::INFINITY }
+    }
+
+    /// Slopes of the residuals over each parameter, by differences from those at `x`.
+    fn slopes(&mut self, x: &[f64; N], here: &[f64]) -> [Vec<f64>; N] {
+        let mut there = Vec::new();
+        std::array::from_fn(|k| {
+            let step = 1e-3 * self.priors[k].sigma;
+            let mut beside = *x;
+            beside[k] += step;
+            self.evaluate(&beside, &mut there);
+            let pairs = there.iter().zip(here);
+            pairs.map(|(a, b)| (a - b) / step).collect()
+        })
+    }
+}
+
 /// Fits `residuals` (each over its σ, written to the buffer) from `start`, with at most `steps` steps. Points at which a
 /// residual is not finite are rejected.
 pub(crate) fn fit<const N: usize>(
     priors: &[Prior; N],
     start: [f64; N],
     steps: usize,
-    mut residuals: impl FnMut(&[f64; N], &mut Vec<f64>),
+    residuals: impl FnMut(&[f64; N], &mut Vec<f64>),
 ) -> FitResult<N> {
+    let mut problem = Problem { priors, residuals };
     let (mut here, mut there) = (Vec::new(), Vec::new());
-    let mut at = |x: &[f64; N], out: &mut Vec<f64>| {
-        out.clear();
-        residuals(x, out);
-        for (x, prior) in x.iter().zip(priors) {
-            out.push((x - prior.mean) / prior.sigma);
-        }
-        let sum: f64 = out.iter().map(|r| r * r).sum();
-        if sum.is_finite() { sum } else { f64::INFINITY }
-    };
     let mut best = FitResult {
         x: start,
-        chi2: at(&start, &mut here),
+        chi2: problem.evaluate(&start, &mut here),
     };
     let mut damping = 1e-3;
     for _ in 0..steps {
-        let mut columns: Vec<Vec<f64>> = Vec::with_capacity(N);
-        for k in 0..N {
-            let mut x = best.x;
-            let step = 1e-3 * priors[k].sigma;
-            x[k] += step;
-            at(&x, &mut there);
-            columns.push(
-                there
-                    .iter()
-                    .zip(&here)
-                    .map(|(a, b)| (a - b) / step)
-                    .collect(),
-            );
-        }
-        let normal = SMatrix::<f64, N, N>::from_fn(|m, n| dot(&columns[m], &columns[n]));
-        let right = SVector::<f64, N>::from_fn(|m, _| -dot(&columns[m], &here));
+        let slopes = problem.slopes(&best.x, &here);
+        let normal = SMatrix::<f64, N, N>::from_fn(|m, n| dot(&slopes[m], &slopes[n]));
+        let right = SVector::<f64, N>::from_fn(|m, _| -dot(&slopes[m], &here));
         let before = best.chi2;
         for _ in 0..6 {
             let mut damped = normal;
@@ -68,7 +79,7 @@ pub(crate) fn fit<const N: usize>(
                 continue;
             };
             let x = std::array::from_fn(|k| best.x[k] + change[k]);
-            let chi2 = at(&x, &mut there);
+            let chi2 = problem.evaluate(&x, &mut there);
             if chi2 < best.chi2 {
                 best = FitResult { x, chi2 };
                 std::mem::swap(&mut here, &mut there);
