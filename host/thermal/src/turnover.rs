@@ -90,66 +90,103 @@ impl TurnoverDetector {
 
     /// Adds ΔT and power at a time; returns ΔT on the other side if the pot is there, else `None`.
     pub fn update(&mut self, metal: &MetalLaw, now: &TurnoverInput) -> Option<SideChange> {
-        let TurnoverInput { t_s, rise_k, .. } = *now;
-        let dt_s = self.last_s.map_or(0.0, |last_s| t_s - last_s).max(0.0);
-        self.last_s = Some(t_s);
+        let dt_s = self.last_s.map_or(0.0, |last_s| now.t_s - last_s).max(0.0);
+        self.last_s = Some(now.t_s);
         self.mean_w += (1.0 - (-dt_s / POWER_S).exp()) * (now.power_w - self.mean_w);
-        self.remember(t_s, rise_k);
-        let rate = self.rate(t_s, rise_k);
+        self.remember(now.t_s, now.rise_k);
         if !metal.turning_rise_k().is_finite() {
             return None;
         }
-        if self.beyond {
-            self.hottest_k = self.hottest_k.max(rise_k);
-            let is_heated = self.mean_w >= POWER.0 * self.passed_w;
-            let top = metal.ln_s_change(metal.turning_rise_k()).0;
-            let was_far = metal.ln_s_change(self.hottest_k).0 < FAR_EFFECT_SHARE * top;
-            if is_heated && was_far && self.hottest_k - rise_k > COOLED_K {
-                return Some(self.change_side(metal, rise_k, 1.0));
+        if self.beyond
+            && let Some(change) = self.go_back(metal, now)
+        {
+            return Some(change);
+        }
+        let heat_j = now.power_w * dt_s;
+        if let Some(reversal) = self.reversal {
+            let change = self.follow_reversal(reversal, metal, now, heat_j);
+            if change.is_some() || self.reversal.is_some() {
+                return change;
             }
         }
-        if self.beyond && rise_k < metal.turning_rise_k() - BACK_K {
+        self.follow_extreme(metal, now, heat_j)
+    }
+
+    /// Sign of ΔT's way from the start: all is mirrored beyond the turn.
+    fn sign(&self) -> f64 {
+        if self.beyond { -1.0 } else { 1.0 }
+    }
+
+    /// Leaves the side beyond the turn if ΔT shows that the pot is not there; returns the change that the filter needs for it.
+    fn go_back(&mut self, metal: &MetalLaw, now: &TurnoverInput) -> Option<SideChange> {
+        let turn_k = metal.turning_rise_k();
+        self.hottest_k = self.hottest_k.max(now.rise_k);
+        let is_heated = self.mean_w >= POWER.0 * self.passed_w;
+        let top = metal.ln_s_change(turn_k).0;
+        let was_far = metal.ln_s_change(self.hottest_k).0 < FAR_EFFECT_SHARE * top;
+        if is_heated && was_far && self.hottest_k - now.rise_k > COOLED_K {
+            return Some(self.change_side(metal, now.rise_k, 1.0));
+        }
+        if now.rise_k < turn_k - BACK_K {
             self.beyond = false;
             // The filter fell through the turn: with the heat that passed it, it bounced; with less, the pot has cooled.
             if self.mean_w > POWER.1 * self.passed_w {
-                return Some(self.change_side(metal, rise_k, 1.0));
+                return Some(self.change_side(metal, now.rise_k, 1.0));
             }
             (self.extreme, self.reversal) = (None, None);
         }
-        // All is mirrored beyond the turn.
-        let sign = if self.beyond { -1.0 } else { 1.0 };
-        if let Some(mut reversal) = self.reversal {
-            reversal.extreme.heat_j += now.power_w * dt_s;
-            if sign * rise_k < sign * reversal.least_k {
-                reversal.least_k = rise_k;
-            }
-            self.reversal = Some(reversal);
-            if reversal.in_doubt
-                && let Some(share) = self.share_beyond(metal, now, &reversal.extreme)
-            {
-                return Some(self.pass(metal, now, &reversal.extreme, share));
-            }
-            if sign * (rise_k - reversal.least_k) < BACK_K {
-                return None;
-            }
-            // ΔT rises again: extremes count anew.
+        None
+    }
+
+    /// Adds heat in joule to a reversal; returns the change if it was the turn, and forgets the reversal once ΔT rises again.
+    fn follow_reversal(
+        &mut self,
+        mut reversal: Reversal,
+        metal: &MetalLaw,
+        now: &TurnoverInput,
+        heat_j: f64,
+    ) -> Option<SideChange> {
+        let sign = self.sign();
+        reversal.extreme.heat_j += heat_j;
+        if sign * now.rise_k < sign * reversal.least_k {
+            reversal.least_k = now.rise_k;
+        }
+        self.reversal = Some(reversal);
+        if reversal.in_doubt
+            && let Some(share) = self.share_beyond(metal, now, &reversal.extreme)
+        {
+            return Some(self.pass(metal, now, &reversal.extreme, share));
+        }
+        if sign * (now.rise_k - reversal.least_k) >= BACK_K {
+            // Extremes count anew.
             (self.reversal, self.extreme) = (None, None);
         }
+        None
+    }
+
+    /// Follows the extreme of ΔT with heat in joule since, and judges the way back from it.
+    fn follow_extreme(
+        &mut self,
+        metal: &MetalLaw,
+        now: &TurnoverInput,
+        heat_j: f64,
+    ) -> Option<SideChange> {
+        let sign = self.sign();
         let here = Extreme {
-            rise_k,
-            t_s,
+            rise_k: now.rise_k,
+            t_s: now.t_s,
             power_w: self.mean_w,
-            rate,
+            rate: self.rate(now.t_s, now.rise_k),
             heat_j: 0.0,
         };
         let extreme = self.extreme.get_or_insert(here);
-        if sign * (rise_k - extreme.rise_k) >= 0.0 {
+        if sign * (now.rise_k - extreme.rise_k) >= 0.0 {
             *extreme = here;
             return None;
         }
-        extreme.heat_j += now.power_w * dt_s;
+        extreme.heat_j += heat_j;
         let extreme = *extreme;
-        if sign * (extreme.rise_k - rise_k) < BACK_K {
+        if sign * (extreme.rise_k - now.rise_k) < BACK_K {
             return None;
         }
         self.judge(metal, now, extreme)
@@ -233,7 +270,7 @@ impl TurnoverDetector {
 
     /// Returns `true` if ΔT has fallen slowly from an extreme at the turn itself, and falls on.
     fn is_slow(&self, metal: &MetalLaw, now: &TurnoverInput, extreme: &Extreme) -> bool {
-        let sign = if self.beyond { -1.0 } else { 1.0 };
+        let sign = self.sign();
         let fall_k = sign * (extreme.rise_k - now.rise_k);
         let lasted_s = now.t_s - extreme.t_s;
         let is_before = |(at_s, _): &&(f64, f64)| now.t_s - at_s >= SLOW_S;
