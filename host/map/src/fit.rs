@@ -158,6 +158,34 @@ pub(crate) struct Descent {
     pub cost: f64,
 }
 
+/// Measured data of a descent, with the factor of their covariance.
+struct Whitened {
+    seen: DVector<f64>,
+    factor: Cholesky<f64, Dyn>,
+}
+
+impl Whitened {
+    /// Half of the squares that predictions leave, and of the steps from the prior.
+    fn cost(&self, steps: &Vector, predicted: &DVector<f64>) -> Option<f64> {
+        let left = &self.seen - predicted;
+        let whitened = self.factor.l_dirty().solve_lower_triangular(&left)?;
+        let believed: f64 = steps.iter().map(|s| s * s).sum();
+        Some(0.5 * (whitened.norm_squared() + believed))
+    }
+
+    /// Normal matrix of the data alone, and the right-hand side with the prior.
+    fn normal(&self, here: &Linearised, steps: &Vector) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let left = &self.seen - &here.ln;
+        let slopes = self.factor.l_dirty().solve_lower_triangular(&here.slopes)?;
+        let left = self.factor.l_dirty().solve_lower_triangular(&left)?;
+        let mut right = slopes.tr_mul(&left);
+        for k in 0..right.len() {
+            right[k] -= steps[k];
+        }
+        Some((slopes.tr_mul(&slopes), right))
+    }
+}
+
 /// Descends from the steps given with a prior; the first `used` numbers are free. `None` if the covariance is singular.
 pub(crate) fn fit(
     data: &[Datum],
@@ -167,26 +195,15 @@ pub(crate) fn fit(
     most_steps: usize,
 ) -> Option<Descent> {
     let mut here = Linearised::at((prior, &begin), data, used);
-    let white: Cholesky<f64, Dyn> = (covariance(data, tau) + here.heat.covariance()).cholesky()?;
-    let seen = measured(data);
-    let cost = |steps: &Vector, predicted: &DVector<f64>| {
-        let left = &seen - predicted;
-        let whitened = white.l_dirty().solve_lower_triangular(&left)?;
-        let believed: f64 = steps.iter().map(|s| s * s).sum();
-        Some(0.5 * (whitened.norm_squared() + believed))
+    let white = Whitened {
+        seen: measured(data),
+        factor: (covariance(data, tau) + here.heat.covariance()).cholesky()?,
     };
     let mut steps = begin;
-    let mut best = cost(&steps, &here.ln)?;
+    let mut best = white.cost(&steps, &here.ln)?;
     let mut damping = 1e-2;
     for _ in 0..most_steps.min(MAX_STEPS) {
-        let left = &seen - &here.ln;
-        let slopes = white.l_dirty().solve_lower_triangular(&here.slopes)?;
-        let left = white.l_dirty().solve_lower_triangular(&left)?;
-        let normal = slopes.tr_mul(&slopes);
-        let mut right = slopes.tr_mul(&left);
-        for k in 0..used {
-            right[k] -= steps[k];
-        }
+        let (normal, right) = white.normal(&here, &steps)?;
         let before = best;
         for _ in 0..6 {
             let mut damped = normal.clone();
@@ -201,7 +218,7 @@ pub(crate) fn fit(
             // Clamped to the numbers' ranges, so that the prior counts the step that was made.
             there = parameters::steps(prior, &parameters::moved(prior, &there));
             let expected = predicted(&parameters::moved(prior, &there), data);
-            let next = cost(&there, &expected)?;
+            let next = white.cost(&there, &expected)?;
             if next < best {
                 (steps, best) = (there, next);
                 damping = (damping * 0.2).max(1e-6);
