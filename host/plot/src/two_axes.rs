@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use crate::envelope::Column;
-use crate::panel::mesh;
+use crate::panel::{Chart, mesh};
 use crate::shapes::LABEL_PX;
 use crate::{Area, Axis, DrawResult, Scale};
 
@@ -105,24 +105,7 @@ pub fn draw(
         .label_style(("sans-serif", LABEL_PX))
         .axis_desc_style(("sans-serif", LABEL_PX + 1))
         .draw()?;
-    let ends = left.ends();
-    let inside = |t: &f64| x.scale.ends().contains(t);
-    for (a, b, colour) in &under.shaded {
-        let (a, b) = (a.max(from), b.min(to));
-        if a < b {
-            let corners = [(a, ends.start), (b, ends.end)];
-            chart.draw_series([Rectangle::new(corners, colour.filled())])?;
-        }
-    }
-    for &t in under.marks.iter().filter(|t| inside(t)) {
-        let line = [(t, ends.start), (t, ends.end)];
-        let style = BLACK.mix(0.5).stroke_width(1);
-        chart.draw_series(DashedLineSeries::new(line, 6, 6, style))?;
-    }
-    for &t in under.alarms.iter().filter(|t| inside(t)) {
-        let line = [(t, ends.start), (t, ends.end)];
-        chart.draw_series(LineSeries::new(line, crate::RED.mix(0.5)))?;
-    }
+    underlay(&mut chart, under, (&x.scale, &left))?;
     for (side, second) in [(&sides[0], false), (&sides[1], true)] {
         for points in lines(&side.trace) {
             let line = LineSeries::new(points, side.colour.stroke_width(1));
@@ -141,6 +124,29 @@ pub fn draw(
                 chart.draw_series(band)?;
             }
         }
+    }
+    Ok(())
+}
+
+/// Draws what lies under the curves.
+fn underlay(chart: &mut Chart<'_, '_>, under: &Underlay, (x, y): (&Scale, &Scale)) -> DrawResult {
+    let (x, y) = (x.ends(), y.ends());
+    let inside = |t: &f64| x.contains(t);
+    for (a, b, colour) in &under.shaded {
+        let (a, b) = (a.max(x.start), b.min(x.end));
+        if a < b {
+            let corners = [(a, y.start), (b, y.end)];
+            chart.draw_series([Rectangle::new(corners, colour.filled())])?;
+        }
+    }
+    for &t in under.marks.iter().filter(|t| inside(t)) {
+        let line = [(t, y.start), (t, y.end)];
+        let style = BLACK.mix(0.5).stroke_width(1);
+        chart.draw_series(DashedLineSeries::new(line, 6, 6, style))?;
+    }
+    for &t in under.alarms.iter().filter(|t| inside(t)) {
+        let line = [(t, y.start), (t, y.end)];
+        chart.draw_series(LineSeries::new(line, crate::RED.mix(0.5)))?;
     }
     Ok(())
 }
