@@ -4,6 +4,7 @@ pub mod cli;
 pub mod document;
 pub mod estimators;
 pub mod hostile;
+mod load_name;
 pub mod map;
 pub mod paper;
 pub mod parallel;

@@ -7,6 +7,7 @@ use ihd_train::lookup::{CellErrors, LookupAccuracy};
 use serde::Serialize;
 
 use super::{LookupJudgement, MapPlan, MapRun};
+use crate::load_name::load_name;
 
 /// First line of the section in docs/map.md.
 pub const BEGIN: &str = "<!-- ihd-study map: begin -->";
@@ -152,7 +153,7 @@ pub fn markdown(plan: &MapPlan, runs: &[MapRun]) -> String {
         out,
         "Load {}, shown at {} W, noise {} dB, {} seed{}. Errors in % of the true R and L, mean/worst over the cells that the hob \
          reaches, mean of the seeds and worst of all. Goal in unseen cells: R {}/{}, L {}/{}.\n",
-        load(plan),
+        load_name(plan.load),
         powers.join("/"),
         plan.snr_db,
         plan.seeds,
@@ -179,15 +180,6 @@ pub fn markdown(plan: &MapPlan, runs: &[MapRun]) -> String {
         out.push('\n');
     }
     out
-}
-
-fn load(plan: &MapPlan) -> &'static str {
-    use ihd_sim::recording::settings::LoadKind;
-    match plan.load {
-        LoadKind::Field => "field",
-        LoadKind::Surrogate => "reduced",
-        LoadKind::Behavioural => "behavioural",
-    }
 }
 
 fn row(line: &MapLine) -> String {

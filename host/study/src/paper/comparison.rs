@@ -4,9 +4,8 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use ihd_sim::recording::settings::LoadKind;
-
 use super::{Contender, PaperCell, distinct};
+use crate::load_name::load_name;
 
 /// Contender of the last line.
 const OURS: &str = "hybrid";
@@ -27,11 +26,7 @@ impl Row {
     /// Creates the row from cells of one operating point.
     fn new(cells: &[&PaperCell]) -> Self {
         let first = &cells[0].job;
-        let load = match first.load {
-            LoadKind::Behavioural => "behavioural",
-            LoadKind::Surrogate => "reduced",
-            LoadKind::Field => "field",
-        };
+        let load = load_name(first.load);
         let snr = first
             .snr_db
             .map_or("noiseless".into(), |db| format!("{db} dB"));

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use ihd_sim::recording::settings::LoadKind;
 use plotters::prelude::*;
 
 use super::{Contender, PaperCell};
+use crate::load_name::load_name;
 use ihd_plot::legend::{column, header};
 use ihd_plot::panel::beyond;
 use ihd_plot::{
@@ -65,11 +65,7 @@ fn same_point(a: &PaperCell, b: &PaperCell) -> bool {
 }
 
 fn point_name(cell: &PaperCell) -> String {
-    let load = match cell.job.load {
-        LoadKind::Field => "field",
-        LoadKind::Surrogate => "reduced",
-        LoadKind::Behavioural => "behavioural",
-    };
+    let load = load_name(cell.job.load);
     let snr = cell
         .job
         .snr_db
@@ -196,6 +192,7 @@ fn beside_legend(area: &Area<'_>, panel: &PlotPanel, curves: &[PlotCurve]) -> Dr
 #[cfg(test)]
 mod tests {
     use ihd_identify::Method;
+    use ihd_sim::recording::settings::LoadKind;
 
     use super::super::{LossAt, PaperErrors, PaperJob};
     use super::*;

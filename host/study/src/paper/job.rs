@@ -5,6 +5,8 @@ use ihd_pinn::Backend;
 use ihd_sim::recording::settings::LoadKind;
 use serde::{Deserialize, Serialize};
 
+use crate::load_name::load_name;
+
 /// Contender.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -48,11 +50,7 @@ pub struct PaperJob {
 impl PaperJob {
     /// Name of the cell's file, without the ending.
     pub fn file_stem(&self) -> String {
-        let load = match self.load {
-            LoadKind::Field => "field",
-            LoadKind::Surrogate => "reduced",
-            LoadKind::Behavioural => "behavioural",
-        };
+        let load = load_name(self.load);
         let snr = self.snr_db.map_or("clean".into(), |db| format!("{db}dB"));
         let epochs = self.epochs.map_or(String::new(), |n| format!("-{n}epochs"));
         let backend = self.backend.map_or(String::new(), |b| format!("-{b}"));

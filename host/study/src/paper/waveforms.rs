@@ -5,6 +5,7 @@ use std::fmt::Write;
 
 use super::{Contender, PaperCell, distinct};
 use crate::estimators::published::{ekf, pinn};
+use crate::load_name::load_name;
 
 /// Voltage and current in percent.
 type Pair = (f64, f64);
@@ -38,7 +39,7 @@ pub(super) fn markdown(cells: &[PaperCell]) -> String {
 fn rows(out: &mut String, cells: &[&PaperCell], frequencies: &[f64]) {
     let snr_db = cells[0].job.snr_db;
     let snr = snr_db.map_or("noiseless".into(), |db| format!("{db} dB"));
-    let place = format!("{:?}", cells[0].job.load).to_lowercase() + ", " + &snr;
+    let place = format!("{}, {snr}", load_name(cells[0].job.load));
     let mut row = |who: &str, value: &dyn Fn(f64) -> (Option<Pair>, Option<Pair>)| {
         let _ = write!(out, "| {place}: {who}");
         for f_sw_hz in frequencies {

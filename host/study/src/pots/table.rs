@@ -3,12 +3,12 @@
 use std::fmt::Write;
 
 use ihd_sim::perturbation::Perturbation;
-use ihd_sim::recording::settings::LoadKind;
 use ihd_train::lookup::LookupAccuracy;
 use serde::Serialize;
 
 use super::hobs::ASKED_W;
 use super::{LibraryContents, PotsPlan, PotsRun, TaughtLookup};
+use crate::load_name::load_name;
 
 /// First line of the section in docs/map.md.
 pub const BEGIN: &str = "<!-- ihd-study pots: begin -->";
@@ -175,11 +175,7 @@ fn departure(perturbation: Option<Perturbation>) -> String {
 /// Section without its marks.
 pub fn markdown(plan: &PotsPlan, runs: &[PotsRun]) -> String {
     let mut out = String::new();
-    let load = match plan.load {
-        LoadKind::Field => "field",
-        LoadKind::Surrogate => "reduced",
-        LoadKind::Behavioural => "behavioural",
-    };
+    let load = load_name(plan.load);
     let asked: Vec<String> = ASKED_W.iter().map(ToString::to_string).collect();
     let _ = writeln!(
         out,
@@ -248,6 +244,7 @@ fn row(line: &PotsLine) -> String {
 
 #[cfg(test)]
 mod tests {
+    use ihd_sim::recording::settings::LoadKind;
     use ihd_train::lookup::CellErrors;
 
     use super::*;
