@@ -22,8 +22,8 @@ use crate::parameters::{CENTRED, COUNT, Prior};
 
 pub(crate) use entry::ExportedFit;
 
-pub use shape::places as shape_places;
 pub(crate) use shape::{Shape, ShapeState};
+pub use shape::{UNIT as SHAPE_UNIT, places as shape_places};
 
 pub use entry::{ENTRY_VERSION, MAX_ENTRY_BYTES, MeasuredRange, MetalClass, PotEntry, Provenance};
 

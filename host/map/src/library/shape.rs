@@ -17,7 +17,7 @@ const KNOTS: [f64; 4] = [1.5, 6.0, 10.5, 15.0];
 const POINTS: usize = FREQUENCIES_HZ.len() * KNOTS.len();
 
 /// Unit of the stored values: 1e-5 of R or L, which limits them to a third.
-const UNIT: f64 = 1e-5;
+pub const UNIT: f64 = 1e-5;
 
 /// Least misfit with which a shape is used: the linearisation around the fit has an error of this size.
 const MIN_MISFIT: f64 = 0.004;

@@ -2,7 +2,7 @@
 //! it.
 
 use ihd_map::PotEntry;
-use ihd_map::library::shape_places;
+use ihd_map::library::{SHAPE_UNIT, shape_places};
 use serde_json::{Value, json};
 
 /// Relative falsification of R and L an octave away from the first window; at that window it is zero.
@@ -20,9 +20,6 @@ pub const LARGE: OctaveError = OctaveError { r: 0.15, l: 0.05 };
 /// Falsification of a pot that is nearly the same.
 pub const SMALL: OctaveError = OctaveError { r: 0.03, l: 0.01 };
 
-/// Resolution in which an entry stores its shape.
-const UNIT: f64 = 1e-5;
-
 /// Returns the falsified entry; `None` if it would not be accepted.
 pub fn forged_entry(entry: &PotEntry, first_hz: f64, by: OctaveError) -> Option<PotEntry> {
     let mut lie: Value = serde_json::from_slice(&entry.to_bytes()).ok()?;
@@ -32,7 +29,7 @@ pub fn forged_entry(entry: &PotEntry, first_hz: f64, by: OctaveError) -> Option<
         let (f_hz, _) = *places.get(k % places.len())?;
         let an_octave = if k < places.len() { by.r } else { by.l };
         let away = an_octave * (f_hz / first_hz).log2();
-        *code = json!((code.as_i64()? as f64 + away / UNIT).round() as i64);
+        *code = json!((code.as_i64()? as f64 + away / SHAPE_UNIT).round() as i64);
     }
     // Confident, and marked as observed everywhere.
     lie["misfit"] = json!([0.06, 0.03]);

@@ -199,7 +199,9 @@ fn runs(
         let curves = hob.curves(seed)?;
         let first_hz = curves.first().map_or(0.0, |c| c.f_sw_hz);
         for library in LibraryContents::ALL {
-            let shelf = shelf(library, same.as_ref(), &strangers, first_hz);
+            let Some(shelf) = shelf(library, same.as_ref(), &strangers, first_hz) else {
+                continue;
+            };
             let mut map = PotMap::default().with_library(Arc::new(shelf));
             let after = curves.iter().map(|curve| {
                 map.observe(curve.clone());
@@ -220,28 +222,28 @@ fn runs(
     Ok(runs)
 }
 
-/// Library with some contents, of the pot's entry and the others. Forged entries fit at `first_hz`, the first window's frequency.
+/// Library with some contents, of the pot's entry and the others; `None` if an entry is refused, or cannot be forged: that is no run of an
+/// empty library. Forged entries fit at `first_hz`, the first window's frequency.
 fn shelf(
     contents: LibraryContents,
     same: Option<&PotEntry>,
     others: &[PotEntry],
     first_hz: f64,
-) -> Library {
-    let lie = |by| same.and_then(|e| lie::forged_entry(e, first_hz, by));
+) -> Option<Library> {
+    let lie = |by| Some(vec![lie::forged_entry(same?, first_hz, by)?]);
     let entries: Vec<PotEntry> = match contents {
         LibraryContents::Nothing => Vec::new(),
         LibraryContents::Same => same.into_iter().cloned().collect(),
         LibraryContents::Among => same.into_iter().chain(others).cloned().collect(),
         LibraryContents::Others => others.to_vec(),
-        LibraryContents::NearMiss => lie(lie::SMALL).into_iter().collect(),
-        LibraryContents::Lie => lie(lie::LARGE).into_iter().collect(),
+        LibraryContents::NearMiss => lie(lie::SMALL)?,
+        LibraryContents::Lie => lie(lie::LARGE)?,
     };
     let mut shelf = Library::default();
     for entry in entries {
-        // A rejected entry is missing in the library; the runs show the effect.
-        let _refused = shelf.add(entry).is_err();
+        shelf.add(entry).ok()?;
     }
-    shelf
+    Some(shelf)
 }
 
 impl SecondHob {
@@ -272,6 +274,20 @@ impl SecondHob {
             known: known.clone().count() as f64 / cells.len().max(1) as f64,
             worst_known_pct: known.map(|c| [c.r_pct.abs(), c.l_pct.abs()]).reduce(worst),
             ..nothing
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lie_that_cannot_be_told_is_no_run_of_an_empty_library() {
+        let empty = shelf(LibraryContents::Nothing, None, &[], 5e4);
+        assert!(empty.is_some_and(|library| library.entries().is_empty()));
+        for contents in [LibraryContents::NearMiss, LibraryContents::Lie] {
+            assert!(shelf(contents, None, &[], 5e4).is_none());
         }
     }
 }
