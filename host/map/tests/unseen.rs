@@ -40,7 +40,7 @@ fn crest(models: &Models, f_hz: f64) -> Option<(f64, f64)> {
     Some((i_a, 0.25 * z.r_ohm * i_a * i_a))
 }
 
-/// A window at 40 dB: .5 % a point at the crest.
+/// A window at 40 dB.
 fn window(models: &Models, f_hz: f64, t_s: f64, rng: &mut ChaCha8Rng) -> CurrentCurve {
     let (most_a, _) = crest(models, f_hz).expect("above resonance");
     windows::window(

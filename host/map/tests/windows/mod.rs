@@ -5,7 +5,7 @@ use ihd_signal::Load;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// A window at 40 dB, .5 % a point at the crest: R and L of `load` at 60 currents of a rising flank up to `most_a`, in ampere.
+/// A window at 40 dB, .3 % of R and .15 % of L a point at the crest: R and L of `load` at 60 currents of a rising flank up to `most_a`, in ampere.
 pub fn window(
     (f_hz, most_a): (f64, f64),
     t_s: f64,

@@ -117,7 +117,7 @@ fn over_current(area: &Area<'_>, title: &str, cells: &[JudgedCell]) -> DrawResul
 /// Smallest error drawn, in percent: smaller ones are drawn here, as the codes of a lookup resolve no more.
 const MIN_PCT: f64 = 1e-2;
 
-/// With correct deviations two of three dots lie below the line, and one of twenty above twice of it.
+/// Panel of errors over their deviations: if these are correct, two of three dots lie below the line, and one of twenty above twice of it.
 fn over_deviation(area: &Area<'_>, cells: &[JudgedCell]) -> DrawResult {
     let dots = |name: &str, colour, of: fn(&JudgedCell) -> (f64, f64)| {
         let points = cells.iter().map(of);

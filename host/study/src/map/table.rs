@@ -107,7 +107,7 @@ fn line(
     }
 }
 
-/// Returns whether the errors are within the goal; `None` without cells.
+/// Returns `true` if the errors are within the goal; `None` without cells.
 fn is_within_goal(e: &CellErrors) -> Option<bool> {
     Some(
         e.r_mean_pct? <= GOAL_R_PCT.0

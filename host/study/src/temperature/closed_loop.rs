@@ -85,12 +85,7 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<ClosedLoopResult> {
             out.boils_s.get_or_insert(t_s);
         }
         for event in thermometer.take_events() {
-            match event {
-                PotEvent::Bubbles => drop(out.bubbles_reported_s.get_or_insert(t_s)),
-                PotEvent::Boils { .. } => drop(out.boils_reported_s.get_or_insert(t_s)),
-                PotEvent::Moved { .. } => out.moves += 1,
-                PotEvent::Placed { .. } | PotEvent::Overheats { .. } => {}
-            }
+            out.record_event(t_s, event);
         }
         if let Some(estimate) = thermometer.reading() {
             let rise_k = truth.temperature_c() - 20.0;
@@ -109,6 +104,19 @@ pub fn run(progress: &dyn Fn(f64)) -> Result<ClosedLoopResult> {
 }
 
 impl ClosedLoopResult {
+    fn record_event(&mut self, t_s: f64, event: PotEvent) {
+        match event {
+            PotEvent::Bubbles => {
+                self.bubbles_reported_s.get_or_insert(t_s);
+            }
+            PotEvent::Boils { .. } => {
+                self.boils_reported_s.get_or_insert(t_s);
+            }
+            PotEvent::Moved { .. } => self.moves += 1,
+            PotEvent::Placed { .. } | PotEvent::Overheats { .. } => {}
+        }
+    }
+
     /// Text for the document.
     pub fn text(&self) -> String {
         let of = |x: Option<f64>| x.map_or("never".to_owned(), |x| format!("{x:.0} s"));
