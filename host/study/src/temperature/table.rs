@@ -15,7 +15,7 @@ pub const END: &str = "<!-- ihd-study temperature: end -->";
 /// Goal: largest distance of the reported from the true boil, in seconds.
 const BOIL_GOAL_S: f64 = 20.0;
 
-/// Smallest move that must be reported, in mm: 0.5 % of R and 1.2 % of L.
+/// Smallest move that must be reported, in mm: 0.6 % of R and 1.2 % of L.
 const MOVE_MM: f64 = 0.2;
 
 /// Time before the truth from which on an early report of a plateau or a boil counts as false, in seconds.
