@@ -54,7 +54,7 @@ pub enum PotEvent {
     },
     /// ΔT is higher than with water in the pot.
     Overheats {
-        /// ΔT in kelvin.
+        /// ΔT in kelvin, as the reading has it.
         rise_k: f64,
         /// Set beyond the turn, where R and L fall with heat: toward the Curie point.
         toward_curie: bool,

@@ -172,7 +172,8 @@ impl TrackedPot {
         let overheats = rise_k - sigma_k > above_k;
         if (overheats && !self.overheats) || (curie && !self.toward_curie) {
             events.push(PotEvent::Overheats {
-                rise_k,
+                // The filter's own rise may be more than the heat allows.
+                rise_k: self.reading().rise_k,
                 toward_curie: curie,
             });
         }

@@ -74,6 +74,12 @@ impl Kitchen {
             let cooked = self.cooking.half_cycle();
             self.thermometer.push(&seen(&cooked));
             let events = self.thermometer.take_events();
+            for event in &events {
+                if let PotEvent::Overheats { rise_k, .. } = event {
+                    let shown = self.thermometer.reading().map(|r| r.rise_k);
+                    assert_eq!(shown, Some(*rise_k), "said and shown");
+                }
+            }
             self.events
                 .extend(events.into_iter().map(|e| (cooked.t_s, e)));
             let thermal = self.cooking.thermal();
