@@ -73,8 +73,6 @@ pub struct ContentsState {
     pub boils: bool,
     /// Beginning of boiling in seconds on the clock of the half-cycles; `None` if they do not boil.
     pub boils_since_s: Option<f64>,
-    /// χ² by which the model without boiling explains the curve worse.
-    pub evidence: f64,
 }
 
 /// One step of the curve.
@@ -199,6 +197,7 @@ impl ContentsFit {
         let boiling = self.fitted(true);
         let dry = self.fitted(false);
         (self.boiling, self.dry) = (Some(boiling.x), Some(dry.x));
+        // χ² by which the model without boiling explains the curve worse.
         let evidence = dry.chi2 - boiling.chi2;
         let mut boils_at = None;
         let mut state = State::default();
@@ -220,7 +219,6 @@ impl ContentsFit {
             boils_since_s: boils_at
                 .filter(|_| boils && agreed)
                 .map(|k| self.began_s + (k + 1) as f64 * self.step_s),
-            evidence,
         };
     }
 

@@ -110,11 +110,6 @@ impl Placement {
         }
     }
 
-    /// Number of operating points so far.
-    pub fn points(&self) -> usize {
-        self.points.len()
-    }
-
     /// Fits the pot that explains the points best; `None` if there are none.
     pub fn place(&self) -> Option<PlacedPot> {
         if self.points.is_empty() {

@@ -160,12 +160,6 @@ impl Thermometer {
         self.tracked.as_ref().map(|tracked| tracked.reading())
     }
 
-    /// Evidence for boiling: χ² by which the model without boiling explains the curve worse.
-    pub fn evidence(&self) -> f64 {
-        let tracked = self.tracked.as_ref();
-        tracked.map_or(0.0, |t| t.contents.state().evidence)
-    }
-
     /// Returns the events since the last call.
     pub fn take_events(&mut self) -> Vec<PotEvent> {
         std::mem::take(&mut self.events)
