@@ -77,8 +77,8 @@ fn it_is_the_field_model_with_one_function_for_all_metals() {
                 // A linear metal is more than its surface: 304 of 5 mm is two and a half skin depths, and current crowds in
                 // the edge of aluminium.
                 let (r_allowed, l_allowed) = match material {
-                    Material::Linear { .. } => (8.0, 1.0),
-                    _ => (0.6, 0.6),
+                    Material::Linear { .. } => (4.5, 0.5),
+                    _ => (0.2, 0.2),
                 };
                 assert!(r.abs() < r_allowed && l.abs() < l_allowed);
             }
