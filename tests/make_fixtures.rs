@@ -1,11 +1,11 @@
 //! Makes tests/fixtures/half_cycle: `cargo run -p ihd-tests --example make_fixtures`.
 //!
 //! The behavioural reference load, 50 Hz mains, the second half-cycle after switching on at a fixed frequency, 12 bit,
-//! 61/3; noiseless, and with white noise of 30 dB by the paper's definition over that half-cycle
+//! 61/3, behind the board's sensors and filters; noiseless, and with white noise of 30 dB by the paper's definition over that half-cycle
 //! (seed 7).
 
 use ihd_firmware::drive::bridge::Drive;
-use ihd_shared::sampling::{AMPERE_PER_CODE, Pair, VOLT_PER_CODE};
+use ihd_shared::sampling::{AMPERE_PER_CODE, ANTI_ALIAS_HZ, Pair, VOLT_PER_CODE};
 use ihd_sim::adc::{ConverterNoise, SimulatedAdc};
 use ihd_sim::behavioural::PotKind;
 use ihd_sim::inverter::supply::SupplyParts;
@@ -21,7 +21,7 @@ fn record(f_sw_hz: u32, noise: ConverterNoise) -> HalfCycle {
     let mains = SimulatedMains::new(50.0);
     let half_s = mains.half_cycle_s();
     let (pot, load) = (PotKind::Ferromagnetic.into(), LoadKind::Behavioural);
-    let adc = SimulatedAdc::of_board(noise, 7, 0.0);
+    let adc = SimulatedAdc::of_board(noise, 7, f64::from(ANTI_ALIAS_HZ));
     let mut plant =
         Plant::assemble(mains, pot, load, SupplyParts::NONE, adc).expect("a law has every pot");
     plant.set_drive(Drive::switching(f_sw_hz));
