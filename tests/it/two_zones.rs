@@ -196,10 +196,12 @@ fn a_zone_alone_has_the_supply_until_the_other_is_switched_on() {
 #[test]
 fn turns_do_not_overlap_without_a_capacitor_at_the_link() {
     let mut zones = Zones::new(SupplyParts::NONE).switched_on([6, 5]);
-    zones.run(8.0);
+    // By then the lengths of the turns have settled.
+    zones.run(11.0);
     let (both, none) = zones.both_and_none(3);
     assert_eq!(both, 0, "half-cycles of both");
-    assert!(none < 45, "{none} of 300 half-cycles without power");
+    // Seven handovers of up to two half-cycles.
+    assert!(none < 15, "{none} of 300 half-cycles without power");
 }
 
 /// A watchdog's reset, or one over the link: the other zone heats on, and this one waits for the wire before it heats again.
