@@ -19,7 +19,7 @@ use ihd_firmware::limits::SAMPLING_WATCHDOG_US;
 use ihd_firmware::link::channel_test::SlowCodes;
 use ihd_firmware::link::housekeeping::Housekeeping;
 use ihd_firmware::link::identity::DeviceIdentity;
-use ihd_firmware::retained::reset::ResetReason;
+use ihd_firmware::retained::reset::{CrashRecord, ResetReason};
 use ihd_firmware::sampling::path::{AdcBlock, SamplingPath};
 use ihd_firmware::sense::bus::{BUS_MEAN, BusReading};
 use ihd_firmware::sense::mains::ZeroCrossingDetector;
@@ -286,10 +286,11 @@ impl SimHob {
     }
 
     fn restart_after(&mut self, reason: ResetReason) {
-        let (kept, fault) = (
-            self.housekeeping.control().retained(),
-            self.sampling_path.fault(),
-        );
+        let (kept, fault) = CrashRecord::kept_control(Some(CrashRecord {
+            fault: self.sampling_path.fault().number(),
+            control: self.housekeeping.control().retained(),
+            ..CrashRecord::default()
+        }));
         self.starts = self.starts.saturating_add(1);
         self.boot_id = self.boot_id.wrapping_add(1);
         self.sampling_path = booted_sampling_path();

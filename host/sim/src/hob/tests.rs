@@ -125,6 +125,18 @@ fn without_blocks_the_bridge_opens_after_half_a_millisecond_and_the_program_is_r
     assert_eq!(hob.sampling_path().drive(), Drive::OFF);
 }
 
+/// docs/control.md: a fault of the controller itself locks out over a reset, also where control had no time to record it.
+#[test]
+fn a_reset_at_once_after_a_fault_of_the_controller_leaves_it_locked_out() {
+    for (fault, is_locked_out) in [(Fault::PROGRAM_FLOW, true), (Fault::MAINS_LOST, false)] {
+        let mut hob = SimHob::new(&HobConfig::default());
+        hob.sampling_path.raise(fault);
+        hob.restart();
+        let kept = hob.housekeeping().control().retained();
+        assert_eq!(kept.locked_out, is_locked_out, "{fault:?}");
+    }
+}
+
 /// Time in seconds from a fault of supply or reference until both switches are open while it heats, and the fault's number.
 fn off_after_s(kind: InjectionKind, value: f64, at_s: f64) -> (f64, Fault) {
     let mut hob = SimHob::new(&HobConfig::default());
