@@ -91,7 +91,7 @@ impl<'a> Censored<'a> {
     pub(super) fn fit_span(pair: Pair<'a>) -> Option<Self> {
         let length = (WINDOW as f64 * pair.per_period).round() as usize;
         let periods = (pair.x.len() as f64 / pair.per_period) as usize;
-        // The last window ends with the last whole period.
+        // The last window ends with the last whole period; a clipped sample behind it is restored by its fit.
         let windows = (periods + 1).checked_sub(WINDOW).filter(|n| *n > 0)?;
         let hann = hann(length).into_iter().map(|w| 2.0 * w).collect();
         let mut model = Self {
@@ -221,6 +221,14 @@ impl<'a> Censored<'a> {
         Some(())
     }
 
+    /// Returns `true` if a sample that a window's fit restores lies beyond a rail: the last one restores those behind it as well.
+    fn restores(&self, p: usize) -> bool {
+        let is_last = p + 1 == self.whole.len();
+        let behind = self.pair.x.get(self.window(p).end..).unwrap_or(&[]);
+        let clipped = |x: &f32| !is_inside(*x, self.pair.rails);
+        !self.whole[p] || (is_last && behind.iter().any(clipped))
+    }
+
     /// Fits the windows that are not whole with the harmonics of their present loads.
     fn refine(&mut self) {
         let mut fitted = Vec::new();
@@ -238,10 +246,10 @@ impl<'a> Censored<'a> {
         }
     }
 
-    /// Runs of windows that are not whole, with a whole one on either side.
+    /// Runs of windows that restore samples, with another one on either side.
     fn stretches(&self) -> Vec<Range<usize>> {
         let mut out: Vec<Range<usize>> = Vec::new();
-        for p in (0..self.whole.len()).filter(|p| !self.whole[*p]) {
+        for p in (0..self.whole.len()).filter(|p| self.restores(*p)) {
             let (from, to) = (p.saturating_sub(1), (p + 2).min(self.whole.len()));
             match out.last_mut() {
                 Some(last) if last.end >= from => last.end = to,
@@ -251,8 +259,13 @@ impl<'a> Censored<'a> {
         out
     }
 
+    /// Samples of a run of windows, up to the span's end if the last one is among them.
     fn samples(&self, windows: &Range<usize>) -> Range<usize> {
-        self.window(windows.start).start..self.window(windows.end - 1).end
+        let end = match windows.end == self.whole.len() {
+            true => self.pair.x.len(),
+            false => self.window(windows.end - 1).end,
+        };
+        self.window(windows.start).start..end
     }
 
     /// Impedance of a harmonic (0: the fundamental) in a window.
@@ -441,11 +454,12 @@ mod tests {
 
     use super::*;
 
-    /// A current that grows to 1 A and clips at 0.9 A, through 4 Ω at 60°.
+    /// A current that grows to 1 A and clips at 0.9 A, through 4 Ω at 60°; it ends at a crest that belongs to no whole period.
     #[test]
-    fn samples_are_restored_up_to_the_last_period() {
+    fn samples_are_restored_up_to_the_last_one() {
         const PER_PERIOD: usize = 50;
-        const SAMPLES: usize = 40 * PER_PERIOD;
+        const WHOLE: usize = 40 * PER_PERIOD;
+        const SAMPLES: usize = WHOLE + 3;
         let wave = |k: usize, turns: f64| {
             let amplitude = 0.5 + 0.5 * k as f64 / SAMPLES as f64;
             amplitude * libm::cos(TAU * (k as f64 / PER_PERIOD as f64 + turns))
@@ -467,7 +481,7 @@ mod tests {
         let beyond: Vec<usize> = (0..SAMPLES)
             .filter(|k| !is_inside(x[*k], pair.rails))
             .collect();
-        assert!(beyond.iter().any(|k| *k >= SAMPLES - PER_PERIOD));
+        assert!(beyond.iter().filter(|k| **k >= WHOLE).count() == 3);
         let places: Vec<usize> = restored.iter().map(|(k, _)| *k).collect();
         assert_eq!(places, beyond);
         for (k, value) in restored {
