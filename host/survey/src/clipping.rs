@@ -67,6 +67,13 @@ impl Rails {
         levels.map(f64::abs).fold(0.0, f64::max)
     }
 
+    /// Levels as text, the lower one first, with the symbol of their unit.
+    pub fn in_words(&self, unit: &str) -> String {
+        let levels = self.low.into_iter().chain(self.high);
+        let levels: Vec<String> = levels.map(|level| format!("{level:.4}")).collect();
+        format!("{} {unit}", levels.join(" and "))
+    }
+
     /// Values from which a sample counts as clipped, downwards and upwards; `share` is their share of the levels. Infinite without a level.
     pub fn reached_from(&self, share: f64) -> (f64, f64) {
         let margin = |level: f64| (1.0 - share) * level.abs();
@@ -118,8 +125,8 @@ pub fn count_clipped(x: &[f32], full_scale: Option<f64>) -> ClippedSamples {
         };
         if samples > 0 {
             let rails = Rails {
-                low: Some(-full_scale),
-                high: Some(full_scale),
+                low: (low <= -rail).then_some(-full_scale),
+                high: (high >= rail).then_some(full_scale),
             };
             return ClippedSamples { samples, rails };
         }
@@ -345,5 +352,11 @@ mod tests {
         x[700] = -1.0;
         x[900] = 2047.0 / 2048.0;
         assert_eq!(count_clipped(&x, Some(1.0)).samples, 3);
+        x[700] = 0.0;
+        let upper = count_clipped(&x, Some(1.0));
+        assert_eq!(
+            (upper.samples, upper.rails.low, upper.rails.high),
+            (2, None, Some(1.0))
+        );
     }
 }

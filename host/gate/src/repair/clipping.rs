@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use ihd_signal::carrier::Carrier;
 use ihd_signal::{Capture, Remark, Severity};
-use ihd_survey::clipping::MIN_PER_PERIOD;
+use ihd_survey::clipping::{MIN_PER_PERIOD, Rails};
 use ihd_survey::{Channel, Finding, Span, Survey};
 
 use super::censored::{Censored, Pair, is_inside};
@@ -79,8 +79,8 @@ struct ClippedChannel {
     is_voltage: bool,
     /// Number of samples at the ends of its range.
     samples: usize,
-    /// Magnitude of those samples, in the channel's unit.
-    level: f64,
+    /// Levels at which they rest, in the channel's unit.
+    levels: Rails,
     /// Values below and above which a sample is at an end.
     rails: [f64; 2],
     /// Noise of a sample of this channel and of the other.
@@ -94,13 +94,13 @@ impl ClippedChannel {
             Finding::Clipping {
                 channel,
                 samples,
-                level,
+                rails,
                 ..
-            } => Some((*channel, *samples, *level)),
+            } => Some((*channel, *samples, *rails)),
             _ => None,
         };
         let mut all = survey.findings.iter().filter_map(clipped);
-        let ((channel, samples, level), None) = (all.next()?, all.next()) else {
+        let ((channel, samples, levels), None) = (all.next()?, all.next()) else {
             return None;
         };
         let is_voltage = channel == Channel::Voltage;
@@ -112,7 +112,7 @@ impl ClippedChannel {
         Some(Self {
             is_voltage,
             samples,
-            level,
+            levels,
             rails: [numbers[0].min + margin, numbers[0].max - margin],
             noise: [numbers[0].noise?, numbers[1].noise?],
         })
@@ -135,13 +135,13 @@ impl ClippedChannel {
 
     /// Warning with the standard deviations of R and of L as shares.
     fn remark(&self, shares: [f64; 2]) -> Remark {
-        let (name, unit, other) = match self.is_voltage {
-            true => ("voltage", "V", "current"),
-            false => ("current", "A", "voltage"),
+        let (channel, other) = match self.is_voltage {
+            true => (Channel::Voltage, Channel::Current),
+            false => (Channel::Current, Channel::Voltage),
         };
-        let (level, samples) = (self.level, self.samples);
+        let (levels, samples) = (self.levels.in_words(channel.unit()), self.samples);
         let text = format!(
-            "the {name} was clipped at {level:.4} {unit}, {samples} samples: they were left out, and what they were follows from \
+            "the {channel} was clipped at {levels}, {samples} samples: they were left out, and what they were follows from \
              the {other} and the samples beside them, R to {:.2} % and L to {:.2} %; better use a larger range",
             100.0 * shares[0],
             100.0 * shares[1]

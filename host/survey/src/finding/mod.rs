@@ -389,4 +389,25 @@ mod tests {
             assert_eq!(finding.remark().code, finding.code());
         }
     }
+
+    #[test]
+    fn the_text_on_clipping_names_every_level_at_which_the_channel_rests() {
+        let text = |low: Option<f64>, high: Option<f64>| {
+            let rails = Rails { low, high };
+            let finding = Finding::Clipping {
+                channel: Channel::Current,
+                samples: 9,
+                level: rails.level(),
+                rails,
+            };
+            finding.to_string()
+        };
+        for (low, high, named) in [
+            (Some(-85.0), Some(75.0), "clipped at -85.0000 and 75.0000 A"),
+            (Some(-85.0), None, "clipped at -85.0000 A"),
+            (None, Some(75.0), "clipped at 75.0000 A"),
+        ] {
+            assert!(text(low, high).contains(named), "{}", text(low, high));
+        }
+    }
 }

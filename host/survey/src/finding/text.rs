@@ -140,13 +140,12 @@ impl fmt::Display for Finding {
             Self::Clipping {
                 channel,
                 samples,
-                level,
+                rails,
                 ..
             } => write!(
                 f,
-                "the {channel} is clipped at {level:.4} {}: {samples} samples; R and L are wrong \
-                 there: use a larger range",
-                channel.unit()
+                "the {channel} is clipped at {}: {samples} samples; R and L are wrong there: use a larger range",
+                rails.in_words(channel.unit())
             ),
             Self::Offset {
                 channel,
