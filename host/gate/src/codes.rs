@@ -280,9 +280,9 @@ const SENSORS: &[Code] = &[
     ),
     code(
         "gain",
-        "warning",
-        "the ratio of the gains contradicts the capacitance given; the voltage is put right, to 20 %",
-        "1 %, 3 σ",
+        "warning, error",
+        "the ratio of the gains contradicts the capacitance given; the voltage is put right by up to 20 %",
+        "1 %, 3 σ for a warning; 20 % for an error",
         "check the probes' factors",
     ),
     code(

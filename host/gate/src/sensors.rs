@@ -5,7 +5,9 @@ use std::f64::consts::TAU;
 
 use ihd_identify::pooled::SharedSigma;
 use ihd_signal::{Capture, Load, Remark, Segment, Severity};
-use ihd_survey::calibration::blind::{self, BlindOptions, CalibratedCapture, SelfCalibration};
+use ihd_survey::calibration::blind::{
+    self, BlindOptions, CalibratedCapture, MAX_GAIN_OFF, SelfCalibration,
+};
 use ihd_survey::{Hints, Survey, SurveyError};
 
 use crate::limits::{MAX_SIGMA_PCT, TOLERABLE_PCT, TOLERABLE_SIGMAS};
@@ -68,7 +70,7 @@ pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
         return None;
     };
     let (off, limit) = sensors.gain_off()?;
-    if off.abs() <= limit || off.abs() > MAX_GAIN || !sensors.is_sound() {
+    if off.abs() <= limit || off.abs() > MAX_GAIN_OFF || !sensors.is_sound() {
         return None;
     }
     let factor = (1.0 / (1.0 + off)) as f32;
@@ -84,9 +86,6 @@ pub fn correct_gain(calibrated: &mut CalibratedCapture<'_>) -> Option<Remark> {
     let remark = Remark::new("gain", Severity::Warning, text);
     Some(remark.with(100.0 * off, Some(100.0 * limit)))
 }
-
-/// Largest error of the gains that is corrected: beyond, a probe's factor is wrong, or the capacitance.
-const MAX_GAIN: f64 = 0.2;
 
 /// Uncertainty by the sensors: of an applied correction, and by what is not corrected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -218,11 +218,13 @@ fn a_known_capacitance_corrects_the_ratio_of_the_gains() {
     off.sensing.v_gain = 1.3;
     let found = examined(&capture(&off), Hints::default(), Some(1080e-9));
     let gain = found.sensors.iter().find(|r| r.code == "gain").unwrap();
-    assert!(
-        !gain.text.contains("the voltage is corrected"),
+    assert_eq!(
+        (gain.severity, gain.limit),
+        (Severity::Error, Some(20.0)),
         "{}",
         gain.text
     );
+    assert!(found.outcomes.iter().all(|o| !o.judgement.gate.passes()));
 }
 
 /// Largest magnitude of a channel.

@@ -37,5 +37,7 @@ pub use self::correction::Correction;
 pub use self::error::BlindError;
 pub use self::estimate::{estimate, estimate_segment};
 pub use self::fit::FittedValue;
-pub use self::self_calibration::{BRIDGE_R_MAX_OHM, ModelTests, SelfCalibration, SensorResponse};
+pub use self::self_calibration::{
+    BRIDGE_R_MAX_OHM, MAX_GAIN_OFF, ModelTests, SelfCalibration, SensorResponse,
+};
 pub use self::straighten::Saturation;

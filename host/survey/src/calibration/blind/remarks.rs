@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use ihd_signal::{Remark, Severity, WithSigma};
 
 use super::error::BlindError;
-use super::self_calibration::{SelfCalibration, SensorResponse};
+use super::self_calibration::{MAX_GAIN_OFF, SelfCalibration, SensorResponse};
 use super::straighten::Saturation;
 
 /// Series capacitances of hobs in nF, a factor of two beyond those in use.
@@ -204,6 +204,14 @@ impl SelfCalibration {
             100.0 * off,
             known_f * 1e9
         );
+        if off.abs() > MAX_GAIN_OFF && self.is_sound() {
+            let text = format!(
+                "{text}; that is too much for a tolerance: a probe's factor (--input probe), a unit (--input units) or the \
+                 capacitance given is wrong"
+            );
+            return Remark::new("gain", Severity::Error, text)
+                .with(100.0 * off, Some(100.0 * MAX_GAIN_OFF));
+        }
         Remark::new("gain", Severity::Warning, text).with(100.0 * off, Some(100.0 * limit))
     }
 }

@@ -105,6 +105,9 @@ const CAPACITANCE_SHARE: f64 = 5e-3;
 /// Largest relative difference of C from the one given, beside its standard deviations.
 const GAIN: f64 = 0.01;
 
+/// Largest error of the gains that is corrected: beyond, a probe's factor is wrong, or the capacitance.
+pub const MAX_GAIN_OFF: f64 = 0.2;
+
 /// Relative change of the current's gain above which the sensor is not linear.
 const MAX_GAIN_CHANGE: f64 = 4e-3;
 const BENT_SIGMAS: f64 = 5.0;
