@@ -399,7 +399,7 @@ const GATE: &[Code] = &[
     ),
     code(
         "disagreement",
-        "warning, error",
+        "warning; error for pinn, and for least squares with other settings: the σ of all others contains the difference",
         "mean difference from least squares of the same stretch, over the middle 80 % of a half-cycle",
         ".7 % of R, .49 % of L for a warning; 1 %, .7 % and twice what both σ explain for an error",
         "use least squares or pinn",

@@ -400,7 +400,8 @@ fn noticeable(all: &[Difference]) -> impl Iterator<Item = &Difference> {
     all.iter().filter(|d| share(d) > WARNING_SHARE)
 }
 
-/// Remark on a difference: an error if it is more than tolerable and more than noise, else a warning.
+/// Remark on a difference: an error if it is more than tolerable and more than the standard deviations explain, else a warning. Those
+/// of filters and lock-in contain their difference from least squares ([`ihd_identify::run`]), so that theirs is a warning.
 fn remark(
     code: &'static str,
     apart: &Difference,
