@@ -135,7 +135,7 @@ impl Default for PinnConfig {
         Self {
             backend: Backend::default(),
             seed: 1,
-            harmonics: vec![1, 3, 5, 7],
+            harmonics: ihd_signal::ORDERS.to_vec(),
             physics_harmonics: vec![1],
             impedance_order: ImpedanceOrder::default(),
             most_points: 50_000,

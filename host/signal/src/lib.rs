@@ -27,7 +27,7 @@ pub mod with_sigma;
 
 pub use capture::{Capture, FrequencyStep, TimeBase};
 pub use ihd_fourier as fourier;
-pub use load::Load;
+pub use load::{Load, ORDERS};
 pub use printable::printable;
 pub use remark::{Remark, Severity};
 pub use samples::{RawSamples, Samples};

@@ -2,11 +2,8 @@
 
 use ihd_shared::lookup::grid::{CURRENTS, FREQUENCIES};
 
-use crate::Load;
 use crate::interpolation::linear;
-
-/// Harmonic orders of the switching frequency that are measured; a half-bridge has no even ones.
-pub const ORDERS: [usize; 4] = [1, 3, 5, 7];
+use crate::load::{Load, ORDERS};
 
 /// Truth over one switching period, or two.
 #[derive(Clone, Copy, Debug, PartialEq)]

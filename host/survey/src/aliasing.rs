@@ -15,9 +15,9 @@ use ihd_shared::sampling::{ADC_LOCK_P, ADC_LOCK_Q};
 use nalgebra::Complex;
 use serde::Serialize;
 
-use super::track::{ORDERS, Track};
-use ihd_signal::Load;
+use super::track::Track;
 use ihd_signal::fourier::sinc;
+use ihd_signal::{Load, ORDERS};
 
 /// Passband of an estimator: two boxcars of this length in seconds (the firmware's demodulator; longer ones pass less).
 const BOXCAR_S: f64 = 0.2e-3;

@@ -2,11 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use ihd_signal::Load;
+use ihd_signal::{Load, ORDERS};
 use nalgebra::Complex;
 use serde::Serialize;
 
-use super::track::{ORDERS, Track};
+use super::track::Track;
 
 /// Connection of the probes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

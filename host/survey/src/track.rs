@@ -2,14 +2,11 @@
 
 use std::f64::consts::TAU;
 
-use ihd_signal::Capture;
 use ihd_signal::vectorised::{dot, sum, vectorised};
+use ihd_signal::{Capture, ORDERS};
 use nalgebra::{Complex, Matrix4, Vector4};
 
 use super::time::Run;
-
-/// Orders of the phasors; a half-bridge has no even ones.
-pub const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
 /// Least switching periods per frame, and the largest number of them.
 const MIN_PERIODS: f64 = 3.0;

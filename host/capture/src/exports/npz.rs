@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
 
-use ihd_signal::truth::{ORDERS, PeriodTruth};
-use ihd_signal::{Capture, TimeBase};
+use ihd_signal::truth::PeriodTruth;
+use ihd_signal::{Capture, ORDERS, TimeBase};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 

@@ -5,8 +5,8 @@
 
 use std::collections::BTreeMap;
 
-use ihd_signal::truth::{ORDERS, PeriodTruth};
-use ihd_signal::{FrequencyStep, TimeBase};
+use ihd_signal::truth::PeriodTruth;
+use ihd_signal::{FrequencyStep, ORDERS, TimeBase};
 
 use super::stated_unit::StatedUnit;
 use super::time::{binary_resolution, is_time_name, time_base};

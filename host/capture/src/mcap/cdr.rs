@@ -1,7 +1,8 @@
 //! CDR encoding (ROS 2) of samples and truth: little-endian, every number aligned to its own size after a header of four bytes.
 //! `topics` has the layouts.
 
-use ihd_signal::truth::{ORDERS, PeriodTruth};
+use ihd_signal::ORDERS;
+use ihd_signal::truth::PeriodTruth;
 use ihd_signal::vectorised::vectorised;
 
 /// Header: CDR, little-endian, no options.

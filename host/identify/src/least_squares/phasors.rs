@@ -3,10 +3,10 @@
 
 use std::ops::Range;
 
-use ihd_signal::Segment;
 use ihd_signal::fourier::sinc;
 use ihd_signal::noise::WhiteNoise;
 use ihd_signal::vectorised::{dot, vectorised};
+use ihd_signal::{ORDERS, Segment};
 use ihd_spline::harmonic::{HarmonicFit, MIN_INTERVAL_PERIODS, phasor};
 use ihd_spline::residual::Excess;
 use ihd_spline::{CubicSpline, quiet_interval_s};
@@ -20,10 +20,6 @@ const EDGE_S: f64 = ihd_shared::hob::EDGE_NS as f64 * 1e-9;
 
 /// Relative uncertainty of the edges' duration.
 const EDGE_SPREAD: f64 = 0.1;
-
-/// Harmonics that are fitted. R and L come from the first; the others are needed because their modulation overlaps with
-/// it.
-const ORDERS: [u32; 4] = [1, 3, 5, 7];
 
 /// Blocks per switching period, see [`ihd_spline::harmonic`].
 const BLOCKS_PER_PERIOD: f64 = 16.0;
@@ -80,6 +76,7 @@ impl SplineFit {
             segment.v_v.block(range.clone(), v_buffer),
             segment.i_a.block(range.clone(), i_buffer),
         );
+        // R and L come from the first harmonic; the others are needed because their modulation overlaps with it.
         let used = ORDERS
             .iter()
             .filter(|&&h| 2.0 * f64::from(h) + 1.0 < per_period)

@@ -2,7 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
-use ihd_signal::truth::{ORDERS, PeriodTruth};
+use ihd_signal::ORDERS;
+use ihd_signal::truth::PeriodTruth;
 use nalgebra::Complex;
 
 /// Sums over one switching period.
@@ -64,7 +65,7 @@ impl Sums {
     ) -> PeriodTruth {
         self.truth_of_rate(t_s, f_sw_hz, steps, |k| {
             let i = self.i[k] * (2.0 / steps);
-            Complex::new(0.0, TAU * f_sw_hz * ORDERS[k] as f64) * i + growth(k)
+            Complex::new(0.0, TAU * f_sw_hz * f64::from(ORDERS[k])) * i + growth(k)
         })
     }
 
@@ -123,7 +124,7 @@ impl PeriodSums {
         let rate = |k: usize| {
             let turning = self.rising.i[k] * f_hz[0] + falling.i[k] * f_hz[1];
             let growth = next.plain.i[k] * f_hz[1] - self.plain.i[k] * f_hz[0];
-            (Complex::new(0.0, TAU * ORDERS[k] as f64) * turning + growth) * scale + top
+            (Complex::new(0.0, TAU * f64::from(ORDERS[k])) * turning + growth) * scale + top
         };
         let triangle = self.rising.mixed(1.0, &falling, 1.0);
         let f_sw_hz = 0.5 * (f_hz[0] + f_hz[1]);
@@ -155,7 +156,7 @@ impl HarmonicAnalyser {
             sums,
             i_start_a: 0.0,
             i_before_a: 0.0,
-            mean_factor: ORDERS.map(|h| libm::cos(PI * h as f64 / steps as f64).powi(-2)),
+            mean_factor: ORDERS.map(|h| libm::cos(PI * f64::from(h) / steps as f64).powi(-2)),
         }
     }
 
@@ -170,7 +171,7 @@ impl HarmonicAnalyser {
         let (v, i) = (v_v * weight, i_a * weight);
         let add = |sums: &mut Sums, share: f64| {
             for (k, order) in ORDERS.into_iter().enumerate() {
-                let turn = self.turn[order * n % steps] * share;
+                let turn = self.turn[order as usize * n % steps] * share;
                 sums.v[k] += turn * v;
                 sums.i[k] += turn * i;
             }
@@ -191,8 +192,8 @@ impl HarmonicAnalyser {
         let add = |sums: &mut Sums, [before, now]: [f64; 2]| {
             for (k, order) in ORDERS.into_iter().enumerate() {
                 let (from, to) = (
-                    self.turn[order * (n - 1) % steps],
-                    self.turn[order * n % steps],
+                    self.turn[order as usize * (n - 1) % steps],
+                    self.turn[order as usize * n % steps],
                 );
                 sums.v[k] += (from * before + to * now) * (0.5 * self.mean_factor[k] * v_mean_v);
                 sums.i[k] += (from * (before * i_before_a) + to * (now * i_a)) * 0.5;

@@ -2,13 +2,13 @@
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, TAU};
 
-use ihd_signal::Capture;
+use ihd_signal::{Capture, ORDERS};
 use nalgebra::Complex;
 
 use super::{CONTRADICTION_SIGMAS, Calibration, ReferenceLoad, WELL_KNOWN_S};
 use crate::aliasing::Aliasing;
 use crate::impedance::{Wiring, load_of_order};
-use crate::track::{ORDERS, Track, track};
+use crate::track::{Track, track};
 use crate::{Finding, Severity, Survey, SurveyError};
 
 /// Reason why a capture gives no calibration.
