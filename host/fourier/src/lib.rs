@@ -48,6 +48,13 @@ pub fn hann(n: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Periodic Hann window, which begins with zero: `n` weights whose sum is n/2.
+pub fn periodic_hann(n: usize) -> Vec<f64> {
+    (0..n)
+        .map(|k| 0.5 - 0.5 * libm::cos(TAU * k as f64 / n as f64))
+        .collect()
+}
+
 /// Returns sin(πx)/(πx), the spectrum of a rectangle of width 1.
 pub fn sinc(x: f64) -> f64 {
     let angle = std::f64::consts::PI * x;

@@ -175,9 +175,7 @@ fn low_pass(block: usize) -> Vec<f64> {
     if block == 1 {
         return vec![1.0];
     }
-    let taps = 4 * block;
-    let at = |k: usize| libm::sin(PI * (k as f64 + 0.5) / taps as f64);
-    (0..taps).map(|k| at(k) * at(k)).collect()
+    fourier::hann(4 * block)
 }
 
 /// |Σ h·e^(−j2πfn)|² at f = `turn` periods per sample.

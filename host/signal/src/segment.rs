@@ -317,6 +317,7 @@ fn weighted_mean(x: &Samples) -> f64 {
     }
 }
 
+/// Mean under the weights of [`hann`](crate::fourier::hann), which need not be stored.
 fn hann_mean<T: Copy + Into<f64>>(x: &[T], offset: f64) -> f64 {
     // Samples of the tables, and from one sine and cosine to the next.
     const TABLE: usize = 512;
@@ -379,6 +380,11 @@ mod tests {
         for (a, b) in clean.i_a.iter().zip(&off.i_a) {
             assert!((a - b).abs() < 5e-4, "{a} {b}");
         }
+        // The blocks' angles add up to those of the window itself.
+        let weights = crate::fourier::hann(n);
+        let x = clean.v_v.iter().zip(&weights);
+        let mean = x.map(|(x, w)| x * w).sum::<f64>() / weights.iter().sum::<f64>();
+        assert!((weighted_mean(&clean.v_v) - mean).abs() < 1e-9);
         let empty = clean.with_samples(Vec::new(), Vec::new());
         assert!(empty.without_offsets().is_empty());
     }

@@ -10,7 +10,6 @@ use ihd_signal::vectorised::{sum, vectorised};
 use nalgebra::Complex;
 
 use super::time::Run;
-use super::track;
 
 /// Smallest switching frequency of the search, in hertz.
 pub const MIN_HZ: f64 = 15e3;
@@ -160,7 +159,7 @@ impl Spectrum {
         let hz_per_bin = 1.0 / (dt_s * n as f64);
         let bin = |f: f64| ((f / hz_per_bin).max(1.0) as usize).min(n / 2 - 1);
         Self {
-            window: track::hann(length),
+            window: fourier::periodic_hann(length),
             input: fft.make_input_vec(),
             output: fft.make_output_vec(),
             power: vec![0.0; n / 2 + 1],

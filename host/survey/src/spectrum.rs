@@ -2,8 +2,6 @@
 
 use ihd_signal::fourier;
 
-use super::track::hann;
-
 /// Most samples of a frame.
 const MAX_FRAME_SAMPLES: usize = 1 << 17;
 
@@ -20,7 +18,8 @@ pub fn amplitude_db(x: &[f32], dt_s: f64, to_hz: f64) -> Vec<(f64, f64)> {
     let start = (x.len() - n) / 2;
     let fft = fourier::forward(n);
     let (mut input, mut output) = (fft.make_input_vec(), fft.make_output_vec());
-    for ((y, x), w) in input.iter_mut().zip(&x[start..start + n]).zip(hann(n)) {
+    let window = fourier::periodic_hann(n);
+    for ((y, x), w) in input.iter_mut().zip(&x[start..start + n]).zip(window) {
         *y = f64::from(*x) * w;
     }
     if fft.process(&mut input, &mut output).is_err() {

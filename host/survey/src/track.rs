@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use ihd_signal::fourier::periodic_hann;
 use ihd_signal::vectorised::{dot, sum, vectorised};
 use ihd_signal::{Capture, ORDERS};
 use nalgebra::{Complex, Matrix4, Vector4};
@@ -37,13 +38,6 @@ pub struct TrackedFundamental {
     pub t_s: Vec<f64>,
     /// Phasors of the current, amplitudes in ampere.
     pub i_a: Vec<Complex<f64>>,
-}
-
-/// Periodic Hann window: `n` weights whose sum is n/2.
-pub fn hann(n: usize) -> Vec<f64> {
-    (0..n)
-        .map(|k| 0.5 - 0.5 * libm::cos(TAU * k as f64 / n as f64))
-        .collect()
 }
 
 /// Real and imaginary part of `scale` times a window times e^{-jφ}, whose phase φ grows by `turn` radian a sample.
@@ -184,7 +178,7 @@ fn for_frames(
     steps: &[f64],
     mut each: impl FnMut(usize, &[[f64; 2]]),
 ) {
-    let window = hann(frame);
+    let window = periodic_hann(frame);
     // Window times e^{-jωt} from the frame's first sample; the remaining factor is one rotation per frame.
     let tables: Vec<[Vec<f64>; 2]> = steps
         .iter()
