@@ -6,6 +6,7 @@ mod document;
 use std::path::{Path, PathBuf};
 
 use ihd_gate::codes::{CODES, find, markdown};
+use ihd_survey::mains::RANGE_HZ;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -16,6 +17,18 @@ fn the_document_holds_the_table() {
     let command = "cargo test -p ihd-gate --test codes";
     let table = format!("{}\n", markdown());
     document::hold("identification.md", "codes", &table, command);
+}
+
+/// The table and a document name the range of the mains by number.
+#[test]
+fn the_range_of_the_mains_is_the_one_that_is_searched() {
+    let (from_hz, to_hz) = RANGE_HZ;
+    let time_base = find("time_base").expect("a code");
+    let limits = format!("error below {from_hz} and above {to_hz} Hz");
+    assert!(time_base.severity.contains(&limits), "{limits}");
+    let document = std::fs::read_to_string(root().join("docs/captures.md")).unwrap();
+    let range = format!("the voltage's envelope: {from_hz} to {to_hz} Hz from");
+    assert!(document.contains(&range), "{range}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 /// Range of a mains frequency, in hertz: grids', and what a generator may have.
-pub(super) const RANGE_HZ: (f64, f64) = (45.0, 65.0);
+pub const RANGE_HZ: (f64, f64) = (45.0, 65.0);
 
 /// Depth of modulation below which the bus counts as constant.
 pub(super) const MIN_MODULATION: f64 = 0.3;

@@ -14,8 +14,8 @@ use serde::Serialize;
 pub use self::fit::PieceEnvelope;
 use self::fit::{FIRST_LOOK_S, Fit, NOMINAL_HZ, Search, fit};
 use super::finding::Finding;
-pub use super::grid::MainsSource;
-use super::grid::{MIN_MODULATION, RANGE_HZ};
+use super::grid::MIN_MODULATION;
+pub use super::grid::{MainsSource, RANGE_HZ};
 
 /// Frequency and phase of the mains.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -8,6 +8,7 @@ use ihd_sim::hob::HobConfig;
 use ihd_sim::perturbation::Perturbation;
 use ihd_sim::pot::SimulatedPot;
 use ihd_sim::recording::settings::LoadKind;
+use ihd_survey::mains::RANGE_HZ;
 
 use super::keys;
 use super::simulate::LoadWord;
@@ -172,9 +173,10 @@ impl SimOptions {
     /// # Errors
     /// If a value is out of its range.
     pub fn config(&self) -> Result<HobConfig> {
+        let (least_hz, most_hz) = RANGE_HZ;
         ensure_usage!(
-            (45.0..=65.0).contains(&self.mains),
-            "--sim mains={}: must lie between 45 and 65 Hz",
+            (least_hz..=most_hz).contains(&self.mains),
+            "--sim mains={}: must lie between {least_hz} and {most_hz} Hz",
             self.mains
         );
         ensure_usage!(

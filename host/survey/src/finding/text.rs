@@ -120,7 +120,9 @@ impl fmt::Display for Finding {
                     )?,
                     _ => write!(
                         f,
-                        "the voltage's amplitude follows no mains of 45 to 65 Hz: capture at constant power and load"
+                        "the voltage's amplitude follows no mains of {} to {} Hz: capture at constant power and load",
+                        grid::RANGE_HZ.0,
+                        grid::RANGE_HZ.1
                     )?,
                 }
                 write!(
