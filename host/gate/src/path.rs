@@ -162,6 +162,8 @@ struct ExaminedSegment<'a> {
     reference: ReferenceResults,
     /// Standard deviations by the sensors.
     shared: SharedSigma,
+    /// Judgement of least squares with its default options, once it was asked for.
+    of_least_squares: Option<Judgement>,
 }
 
 impl<'a> ExaminedSegment<'a> {
@@ -184,6 +186,7 @@ impl<'a> ExaminedSegment<'a> {
             reference: ReferenceResults::compute(segment, &preprocessing, known),
             preprocessing,
             shared: prepared.shared_sigma(segment.f_sw_hz),
+            of_least_squares: None,
         }
     }
 
@@ -201,7 +204,9 @@ impl<'a> ExaminedSegment<'a> {
     fn take_phasors(&mut self) -> Option<PoolPhasors> {
         let noise = self.preprocessing.as_ref().ok()?.noise();
         let least_squares = self.reference.least_squares.as_ref().ok()?;
-        let is_lawful = is_law(&self.judge(least_squares));
+        let judgement = self.judge(least_squares);
+        let is_lawful = is_law(&judgement);
+        self.of_least_squares = Some(judgement);
         let phasors = is_lawful.then(|| self.reference.take_phasors(self.segment, noise));
         phasors.map(|phasors| phasors.with_shared(self.shared))
     }
@@ -210,7 +215,12 @@ impl<'a> ExaminedSegment<'a> {
     fn result_of(&self, method: Method, sink: &mut ProgressSink<'_>) -> MethodResult {
         let mut result = self.identify(method, sink);
         let judgement = match &result {
-            Ok(estimate) => self.judge(estimate),
+            Ok(estimate) => {
+                // Reconstructed waveforms are not judged, so that the judgement of the reference holds for its copy.
+                let known = self.of_least_squares.as_ref();
+                let known = known.filter(|_| self.reference.knows(method, self.request.settings));
+                known.map_or_else(|| self.judge(estimate), Judgement::clone)
+            }
             Err(error) => judge_failure(&self.remarks, method, &error.to_string()),
         };
         if let Ok(estimate) = &mut result {

@@ -27,13 +27,18 @@ pub struct ReferenceResults {
 }
 
 impl ReferenceResults {
+    /// Returns `true` if the result of a method with these options is that of the reference.
+    pub fn knows(&self, method: Method, settings: &IdentifyOptions) -> bool {
+        method == Method::LeastSquares && has_default_least_squares(settings)
+    }
+
     /// Result of a method with these options if it is known already.
     pub fn result_of(
         &self,
         method: Method,
         settings: &IdentifyOptions,
     ) -> Option<Result<Estimate, IdentifyError>> {
-        let is_known = method == Method::LeastSquares && has_default_least_squares(settings);
+        let is_known = self.knows(method, settings);
         is_known.then(|| self.least_squares.clone())
     }
 
