@@ -192,7 +192,7 @@ pub struct ProgressSink<'a> {
 ///
 /// # Errors
 /// [`IdentifyError`] if the segment cannot be used ([`Segment::check`]), or the method fails on
-/// it; every number of an estimate is finite.
+/// it; every R, L and standard deviation of an estimate is finite.
 pub fn run(
     method: Method,
     segment: &Segment,
@@ -386,6 +386,7 @@ fn at_constant_load(
         let known = known.least_squares;
         reference::raise_sigmas(&mut estimate, segment, known, of_whole, settings);
     }
+    estimate.check_finite()?;
     Ok(estimate)
 }
 
@@ -471,6 +472,28 @@ impl Estimate {
         self.l_sigma_h.push(l_sigma);
     }
 
+    /// Checks that every R, L and standard deviation is finite: comparisons with a limit are false for NaN, and would pass it.
+    fn check_finite(&self) -> Result<(), IdentifyError> {
+        let all = [
+            ("R", &self.r_ohm),
+            ("L", &self.l_h),
+            ("the deviation of R", &self.r_sigma_ohm),
+            ("the deviation of L", &self.l_sigma_h),
+        ];
+        for (name, values) in all {
+            let bad = self.t_s.iter().zip(values).find(|(_, x)| !x.is_finite());
+            if let Some((t_s, _)) = bad {
+                return Err(IdentifyError::Diverged {
+                    method: self.method,
+                    what: format!("{name} is not finite"),
+                    t_s: *t_s,
+                    advice: "capture longer, or take another method",
+                });
+            }
+        }
+        Ok(())
+    }
+
     /// Latest R in ohm and L in henry; `None` if there are no points.
     pub fn last(&self) -> Option<(f64, f64)> {
         Some((*self.r_ohm.last()?, *self.l_h.last()?))
@@ -486,6 +509,20 @@ impl Estimate {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A deviation that is no number would pass every limit.
+    #[test]
+    fn an_estimate_with_a_number_that_is_not_finite_is_refused() {
+        let mut estimate = Estimate::new(Method::Lockin, 45e3);
+        estimate.push(0.25, (3.0, 18e-6), (0.01, 1e-7));
+        assert_eq!(estimate.check_finite(), Ok(()));
+        estimate.push(0.5, (3.0, 18e-6), (0.01, f64::NAN));
+        let why = estimate.check_finite().unwrap_err();
+        assert!(
+            matches!(&why, IdentifyError::Diverged { t_s, .. } if *t_s == 0.5),
+            "{why}"
+        );
+    }
 
     /// 20 µH as 20, and 2.5 ohm as milliohm.
     #[test]

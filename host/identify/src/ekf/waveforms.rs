@@ -155,7 +155,7 @@ pub fn sound(
     Err(diverged(method, segment.t_s(segment.len() - 1)))
 }
 
-/// Returns an error if a number of the estimate is not finite.
+/// Returns an error if the estimate has no points, or an R or L that is not finite.
 pub fn finite(estimate: &Estimate, segment: &Segment) -> Result<(), IdentifyError> {
     let bad = estimate
         .points()
