@@ -69,7 +69,11 @@ const SIGMA_KEY: &str = "calibration_sigma";
 /// Standard deviations of the calibration that a capture has, of the skew in seconds and of ln of the gains' ratio; `None` without one.
 pub fn sigma_of(capture: &Capture) -> Option<[f64; 2]> {
     let (skew_s, gain) = capture.metadata.get(SIGMA_KEY)?.split_once(' ')?;
-    let number = |text: &str| text.parse::<f64>().ok().filter(|x| (0.0..1.0).contains(x));
+    let number = |text: &str| {
+        text.parse::<f64>()
+            .ok()
+            .filter(|x| (0.0..=f64::MAX).contains(x))
+    };
     Some([number(skew_s)?, number(gain)?])
 }
 

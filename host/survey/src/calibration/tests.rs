@@ -223,6 +223,13 @@ fn the_gains_by_a_capacitor_are_no_more_certain_than_that_capacitor() {
     found.apply(&mut c);
     let [_, gain] = sigma_of(&c).unwrap();
     assert!((gain / share - 1.0).abs() < 1e-9, "{gain}");
+    // A ratio that is known to a factor of three has that deviation, and is not certain.
+    let vague = Calibration {
+        gain_ratio_sigma: 2.0 * found.gain_ratio,
+        ..found
+    };
+    vague.apply(&mut c);
+    assert_eq!(sigma_of(&c).map(|[_, gain]| gain), Some(2.0));
 }
 
 #[test]
