@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 
 use ihd_identify::{IdentifyOptions, Method, run};
-use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_survey::{Finding, Hints, Survey, SurveyError};
 
@@ -82,9 +81,7 @@ fn remove_from(capture: &mut Cow<'_, Capture>, survey: &Survey) -> Neighbours {
     let clipping = |f: &Finding| matches!(f, Finding::Clipping { .. });
     let clips = survey.findings.iter().any(clipping);
     survey.for_segments(capture, |index, segment| {
-        let noise = survey.noise_of(index);
-        let noise = noise.unwrap_or_else(|| WhiteNoise::measure(segment));
-        let found = interference::find(segment, noise);
+        let found = interference::find(segment, survey.noise_on(index, segment));
         let tones: Vec<Tone> = found.neighbours().cloned().collect();
         all.push(found);
         if tones.is_empty() || clips {

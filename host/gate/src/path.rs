@@ -7,7 +7,6 @@ use ihd_identify::{
     Estimate, IdentifyError, IdentifyOptions, Method, Preprocessing, ProgressSink, accuracy,
     reconstruction, run_preprocessed,
 };
-use ihd_signal::noise::WhiteNoise;
 use ihd_signal::{Capture, Remark, Segment, SegmentError, Severity};
 use ihd_survey::calibration::blind::BlindOptions;
 use ihd_survey::{Hints, Survey, SurveyError};
@@ -174,9 +173,7 @@ impl<'a> ExaminedSegment<'a> {
         request: &'a ExamineOptions<'a>,
     ) -> Self {
         let known = prepared.take_interference(index);
-        // A short segment does not show its own noise.
-        let measured = || WhiteNoise::measure(segment).or_else(|| prepared.survey.noise());
-        let noise = prepared.survey.noise_of(index).unwrap_or_else(measured);
+        let noise = prepared.survey.noise_on(index, segment);
         let preprocessing = Preprocessing::with_noise(segment, Some(noise));
         Self {
             request,

@@ -211,19 +211,22 @@ impl Survey {
     }
 
     /// White noise of the longest span; 0 on a channel where it could not be measured.
-    pub fn noise(&self) -> WhiteNoise {
+    fn noise(&self) -> WhiteNoise {
         WhiteNoise {
             v_v: self.voltage.noise.unwrap_or(0.0),
             i_a: self.current.noise.unwrap_or(0.0),
         }
     }
 
-    /// White noise of a span; `None` if it was not measured on it, but on a longer one.
-    pub fn noise_of(&self, span: usize) -> Option<WhiteNoise> {
+    /// White noise of a span, whose samples are `segment`: measured on it, but that of the longest span for a channel that is too short to
+    /// show its own.
+    pub fn noise_on(&self, span: usize, segment: &Segment) -> WhiteNoise {
         let spans = self.spans.iter().enumerate();
         let longest = spans.max_by_key(|(_, s)| s.samples);
-        let is_longest = longest.is_some_and(|(k, _)| k == span);
-        is_longest.then(|| self.noise())
+        match longest.is_some_and(|(k, _)| k == span) {
+            true => self.noise(),
+            false => WhiteNoise::measure(segment).or_else(|| self.noise()),
+        }
     }
 
     /// Copies all spans out of the capture that was surveyed.
