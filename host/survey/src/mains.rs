@@ -88,88 +88,111 @@ pub fn find(
     rate_hz: f64,
     findings: &mut Vec<Finding>,
 ) -> Mains {
-    let envelopes: Vec<PieceEnvelope> = envelopes.iter().map(thinned).collect();
-    let (coverage, modulation) = extent(&envelopes);
-    let half_cycles = coverage.seen_s * 2.0 * NOMINAL_HZ[0];
+    let view = View::of_pieces(envelopes);
     let specified_hz = specified_hz.filter(|f| f.is_finite() && *f > 0.0);
     let specified_crossing_s = specified_crossing_s.filter(|t| t.is_finite());
-    let seen = half_cycles >= MIN_HALF_CYCLES
-        && modulation >= MIN_MODULATION
-        && specified_hz.is_none_or(|hz| SPECIFIED_HZ.contains(&hz));
-    let search = match half_cycles >= FREE_HALF_CYCLES {
-        _ if coverage.is_paused => Search::NearNominal,
-        true => Search::Free(RANGE_HZ.0, RANGE_HZ.1),
-        false => Search::Nominal,
-    };
-    let of_specified = specified_hz.map_or(search, |hz| Search::At(hz, search.law()));
-    let measured = seen.then(|| fit(&envelopes, of_specified)).flatten();
-    let better = match specified_hz {
-        Some(hz) if seen && half_cycles >= TOLD_APART_HALF_CYCLES => {
-            better_hz(&envelopes, search, hz, measured).map(|better_hz| (hz, better_hz))
-        }
-        _ => None,
-    };
+    let measured = view.measured(specified_hz);
+    let better = specified_hz.and_then(|hz| Some((hz, view.better_hz(hz, measured)?)));
     findings.extend(
         better.map(|(specified_hz, measured_hz)| Finding::MainsDiffers {
             specified_hz,
             measured_hz,
         }),
     );
-    if seen && specified_hz.is_none() {
-        let shown_hz = time_base::no_grids_hz(&envelopes, measured, &coverage);
+    if specified_hz.is_none() && view.shows(None) {
+        let shown_hz = time_base::no_grids_hz(&view.envelopes, measured, &view.coverage);
         findings.extend(shown_hz.map(|shown_hz| Finding::TimeBase { shown_hz, rate_hz }));
     }
-    let hz = specified_hz
-        .or(measured.map(|m| m.hz))
-        .unwrap_or(NOMINAL_HZ[0]);
-    let crossing_s = specified_crossing_s.or(measured.map(|m| m.t0_s));
+    if let (Some(specified_s), Some(measured), None) = (specified_crossing_s, measured, better) {
+        findings.extend(crossing_differs(specified_s, measured));
+    }
     let source = |specified: bool| match (specified, measured) {
         (true, _) => MainsSource::Specified,
         (false, Some(_)) => MainsSource::Measured,
         (false, None) => MainsSource::Assumed,
     };
-    if let (Some(specified_s), Some(measured), None) = (specified_crossing_s, measured, better) {
-        findings.extend(crossing_differs(specified_s, measured));
-    }
+    let crossing_s = specified_crossing_s.or(measured.map(|m| m.t0_s));
     let mut mains = Mains {
-        hz,
+        hz: specified_hz
+            .or(measured.map(|m| m.hz))
+            .unwrap_or(NOMINAL_HZ[0]),
         hz_source: source(specified_hz.is_some()),
         zero_crossing_s: crossing_s.unwrap_or(start_s),
         zero_crossing_source: source(specified_crossing_s.is_some()),
-        modulation,
+        modulation: view.modulation,
     };
-    if specified_crossing_s.is_none() && measured.is_some() {
-        let first = mains
-            .crossings_s(start_s, start_s + 0.5 / hz)
-            .first()
-            .copied();
-        mains.zero_crossing_s = first.unwrap_or(mains.zero_crossing_s);
+    if mains.zero_crossing_source == MainsSource::Measured {
+        let within_s = mains.crossings_s(start_s, start_s + 0.5 / mains.hz);
+        mains.zero_crossing_s = *within_s.first().unwrap_or(&mains.zero_crossing_s);
     }
-    if mains.hz_source == MainsSource::Assumed || mains.zero_crossing_source == MainsSource::Assumed
-    {
+    if [mains.hz_source, mains.zero_crossing_source].contains(&MainsSource::Assumed) {
         findings.push(Finding::MainsUnknown {
-            assumed_hz: hz,
+            assumed_hz: mains.hz,
             hz_source: mains.hz_source,
-            half_cycles,
-            modulation,
+            half_cycles: view.half_cycles,
+            modulation: view.modulation,
         });
     }
     mains
 }
 
-/// Returns the frequency of the envelope's own fit if it explains the envelope better than `specified`, the fit at `specified_hz`.
-fn better_hz(
-    envelopes: &[PieceEnvelope],
+/// Envelopes of a capture, thinned, and the search that they allow.
+struct View {
+    envelopes: Vec<PieceEnvelope>,
+    coverage: Coverage,
+    /// Length in half-cycles of 50 Hz.
+    half_cycles: f64,
+    /// (Largest − smallest)/largest of the amplitude.
+    modulation: f64,
     search: Search,
-    specified_hz: f64,
-    specified: Option<Fit>,
-) -> Option<f64> {
-    let own = fit(envelopes, search)?;
-    let unexplained = specified.map_or(1.0, |fit| fit.unexplained);
-    // Half-cycles with pauses between them fit several frequencies equally well.
-    let is_better = unexplained > MAX_UNEXPLAINED_SHARE
-        && own.unexplained < MAX_UNEXPLAINED_RATIO * unexplained;
-    ((own.hz - specified_hz).abs() > DIFFERS_HZ && is_better).then_some(own.hz)
+}
+
+impl View {
+    fn of_pieces(envelopes: &[PieceEnvelope]) -> Self {
+        let envelopes: Vec<PieceEnvelope> = envelopes.iter().map(thinned).collect();
+        let (coverage, modulation) = extent(&envelopes);
+        let half_cycles = coverage.seen_s * 2.0 * NOMINAL_HZ[0];
+        let search = match half_cycles >= FREE_HALF_CYCLES {
+            _ if coverage.is_paused => Search::NearNominal,
+            true => Search::Free(RANGE_HZ.0, RANGE_HZ.1),
+            false => Search::Nominal,
+        };
+        Self {
+            envelopes,
+            coverage,
+            half_cycles,
+            modulation,
+            search,
+        }
+    }
+
+    /// Returns `true` if the envelopes can show a mains, of the frequency specified if there is one.
+    fn shows(&self, specified_hz: Option<f64>) -> bool {
+        self.half_cycles >= MIN_HALF_CYCLES
+            && self.modulation >= MIN_MODULATION
+            && specified_hz.is_none_or(|hz| SPECIFIED_HZ.contains(&hz))
+    }
+
+    /// Fit at the frequency specified, or at the best one if none is; `None` if the envelopes show none.
+    fn measured(&self, specified_hz: Option<f64>) -> Option<Fit> {
+        let search = specified_hz.map_or(self.search, |hz| Search::At(hz, self.search.law()));
+        self.shows(specified_hz)
+            .then(|| fit(&self.envelopes, search))
+            .flatten()
+    }
+
+    /// Returns the frequency of the envelopes' own fit if it explains them better than `specified`, the fit at `specified_hz`.
+    fn better_hz(&self, specified_hz: f64, specified: Option<Fit>) -> Option<f64> {
+        if !self.shows(Some(specified_hz)) || self.half_cycles < TOLD_APART_HALF_CYCLES {
+            return None;
+        }
+        let own = fit(&self.envelopes, self.search)?;
+        let unexplained = specified.map_or(1.0, |fit| fit.unexplained);
+        // Half-cycles with pauses between them fit several frequencies equally well.
+        let is_better = unexplained > MAX_UNEXPLAINED_SHARE
+            && own.unexplained < MAX_UNEXPLAINED_RATIO * unexplained;
+        ((own.hz - specified_hz).abs() > DIFFERS_HZ && is_better).then_some(own.hz)
+    }
 }
 
 /// Finding on a specified zero crossing that the envelope, fitted at the frequency used, shows elsewhere.
