@@ -55,32 +55,9 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     }
     findings.extend(coverage(segment, estimate));
     findings.extend(plausibility(segment, estimate));
-    let apart = match &evidence.reference.least_squares {
-        Ok(reference) => comparison::differences(segment, estimate, reference),
-        Err(_) => Vec::new(),
-    };
-    let agreement = agreement(evidence, &apart);
-    // A filter's σ follows from its tuning; if the reference agrees with the filter, the reference's σ is used instead.
-    let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
-    let harmless = |f: &HalfCycleRemark| f.remark.severity == Severity::Info || within(&f.remark);
-    // Only what shares points enough with least squares in every judged half-cycle.
-    let is_compared = evidence.reference.least_squares.is_ok()
-        && apart.len() == comparison::judged(segment).len();
-    let confirmed = is_compared && agreement.iter().all(harmless);
-    let refuted = agreement
-        .iter()
-        .any(|f| f.remark.severity == Severity::Error);
-    let known = match &evidence.reference.least_squares {
-        Ok(reference) => comparison::sigmas_pct(segment, reference),
-        Err(_) => Vec::new(),
-    };
-    let sigmas = match &evidence.reference.least_squares {
-        Ok(_) if confirmed => known.clone(),
-        Ok(_) if !refuted => within_reference(segment, estimate, &apart, &known),
-        _ => comparison::sigmas_pct(segment, estimate),
-    };
-    let uncertain = uncertainty(evidence, &deviations(evidence, &sigmas, &known));
-    if confirmed {
+    let compared = ComparedEstimate::new(evidence);
+    let uncertain = uncertainty(evidence, &compared.deviations(evidence));
+    if compared.is_confirmed() {
         // The network stopped at its limit of steps, but with the right result.
         let unsettled = findings.iter_mut().filter(|f| f.code == "not_converged");
         unsettled.for_each(|f| f.severity = Severity::Info);
@@ -88,12 +65,67 @@ pub fn judge(evidence: &Evidence<'_>) -> Judgement {
     if evidence.reference.least_squares.is_err() {
         findings.push(no_reference(evidence.reference));
     }
-    let half_cycles = [uncertain, agreement].concat();
+    let half_cycles = [uncertain, compared.agreement].concat();
     let whole = findings.clone();
     findings.extend(worst_of_each_code(&half_cycles));
     let mut judgement = Judgement::from_findings(findings);
     judgement.half_cycles = verdicts(segment, &whole, &half_cycles);
     judgement
+}
+
+/// Estimate beside least squares of the same segment. Empty if least squares failed.
+struct ComparedEstimate {
+    /// Differences of the half-cycles.
+    apart: Vec<Difference>,
+    /// Remarks on them, and on those of least squares from the lock-in.
+    agreement: Vec<HalfCycleRemark>,
+    /// Deviations of least squares in percent, by half-cycle.
+    known: Vec<(f64, [f64; 2])>,
+    /// `true` if the estimate shares points enough with least squares in every judged half-cycle.
+    is_complete: bool,
+}
+
+impl ComparedEstimate {
+    fn new(evidence: &Evidence<'_>) -> Self {
+        let segment = evidence.segment;
+        let Ok(least_squares) = &evidence.reference.least_squares else {
+            return Self {
+                apart: Vec::new(),
+                agreement: Vec::new(),
+                known: Vec::new(),
+                is_complete: false,
+            };
+        };
+        let apart = comparison::differences(segment, evidence.estimate, least_squares);
+        Self {
+            agreement: agreement(evidence, &apart),
+            known: comparison::sigmas_pct(segment, least_squares),
+            is_complete: apart.len() == comparison::judged(segment).len(),
+            apart,
+        }
+    }
+
+    /// Returns `true` if nothing in the comparison speaks against the estimate.
+    fn is_confirmed(&self) -> bool {
+        let within = |f: &Remark| f.severity != Severity::Error && f.value <= f.limit;
+        let harmless =
+            |f: &HalfCycleRemark| f.remark.severity == Severity::Info || within(&f.remark);
+        self.is_complete && self.agreement.iter().all(harmless)
+    }
+
+    /// Deviations of the half-cycles. A filter's σ follows from its tuning: if least squares agrees with the filter, its σ is used
+    /// instead, and the smaller one if it does not refute it.
+    fn deviations(&self, evidence: &Evidence<'_>) -> Vec<Deviations> {
+        let (segment, estimate) = (evidence.segment, evidence.estimate);
+        let is_error = |f: &HalfCycleRemark| f.remark.severity == Severity::Error;
+        let is_refuted = self.agreement.iter().any(is_error);
+        let sigmas = match &evidence.reference.least_squares {
+            Ok(_) if self.is_confirmed() => self.known.clone(),
+            Ok(_) if !is_refuted => within_reference(segment, estimate, &self.apart, &self.known),
+            _ => comparison::sigmas_pct(segment, estimate),
+        };
+        deviations(evidence, &sigmas, &self.known)
+    }
 }
 
 /// Remark on one half-cycle.
