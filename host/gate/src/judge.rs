@@ -81,7 +81,7 @@ struct ComparedEstimate {
     agreement: Vec<HalfCycleRemark>,
     /// Deviations of least squares in percent, by half-cycle.
     known: Vec<(f64, [f64; 2])>,
-    /// `true` if the estimate shares points enough with least squares in every judged half-cycle.
+    /// `true` if the estimate shares points enough with least squares in every judged half-cycle, of which there is one at least.
     is_complete: bool,
 }
 
@@ -100,7 +100,7 @@ impl ComparedEstimate {
         Self {
             agreement: agreement(evidence, &apart),
             known: comparison::sigmas_pct(segment, least_squares),
-            is_complete: apart.len() == comparison::judged(segment).len(),
+            is_complete: !apart.is_empty() && apart.len() == comparison::judged(segment).len(),
             apart,
         }
     }

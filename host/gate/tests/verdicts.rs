@@ -9,7 +9,7 @@ use ihd_gate::{
 use ihd_identify::accuracy::Accuracy;
 use ihd_identify::pooled::SharedSigma;
 use ihd_identify::{Estimate, IdentifyOptions as Methods, Method, Preprocessing};
-use ihd_signal::{Capture, Segment, Severity};
+use ihd_signal::{Capture, Remark, Segment, Severity};
 use ihd_sim::recording::sensing::{Rate, Sensing};
 use ihd_sim::recording::settings::{CaptureSpec, Neighbour, RecordingChange, RecordingEvent};
 use ihd_survey::Hints;
@@ -348,7 +348,8 @@ fn a_load_that_least_squares_does_not_follow_is_unconfirmed() {
     assert!(codes(4e3).contains(&"unconfirmed"), "{:?}", codes(4e3));
 }
 
-/// Half a millisecond after a crossing holds no middle of a half-cycle, whether the method states σ or not.
+/// Half a millisecond after a crossing holds no middle of a half-cycle, whether the method states σ or not. Least squares agrees with nothing
+/// there, so that a training that did not converge stays an error.
 #[test]
 fn a_stretch_without_a_middle_is_too_short_by_a_method_without_deviations_too() {
     let whole = swinging(0.0);
@@ -356,6 +357,8 @@ fn a_stretch_without_a_middle_is_too_short_by_a_method_without_deviations_too() 
     let reference = ReferenceResults::compute(&segment, &Preprocessing::new(&segment), None);
     let mut estimate = Estimate::new(Method::Pinn, segment.f_sw_hz);
     (estimate.t_s, estimate.r_ohm, estimate.l_h) = (vec![0.25e-3], vec![3.0], vec![18e-6]);
+    let unsettled = Remark::new("not_converged", Severity::Error, "a limit of steps");
+    estimate.remarks.push(unsettled.clone());
     let judgement = judge(&Evidence {
         remarks: &[],
         segment: &segment,
@@ -364,4 +367,5 @@ fn a_stretch_without_a_middle_is_too_short_by_a_method_without_deviations_too() 
         shared: SharedSigma::default(),
     });
     assert!(judgement.doubts().any(|d| d.code == "too_short"));
+    assert!(judgement.findings.contains(&unsettled));
 }
