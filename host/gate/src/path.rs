@@ -100,7 +100,7 @@ pub fn examine(
 /// Examines as [`examine`] does, and moves the samples to the segments: half the memory.
 ///
 /// # Errors
-/// As [`examine`].
+/// Errors of [`examine`].
 pub fn examine_taking(
     capture: &mut Capture,
     request: &ExamineOptions<'_>,

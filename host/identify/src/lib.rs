@@ -251,7 +251,7 @@ impl Preprocessing {
 /// settings, if it is known; a method that is compared with it need not repeat it. Only the PINN trains long enough to report progress.
 ///
 /// # Errors
-/// As [`run`].
+/// Errors of [`run`].
 pub fn run_preprocessed(
     method: Method,
     segment: &Segment,

@@ -53,7 +53,7 @@ impl IdentifyTask<'_> {
     /// the RL-MLP by the configured optimiser, alternating. With a VI-MLP both networks by Adam.
     ///
     /// # Errors
-    /// As [`identify`], and [`PinnError::Checkpoint`] for a checkpoint of another training.
+    /// Errors of [`identify`], and [`PinnError::Checkpoint`] for a checkpoint of another training.
     pub fn run(
         &self,
         progress: &mut dyn FnMut(&TrainingProgress),

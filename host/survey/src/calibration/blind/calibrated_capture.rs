@@ -82,7 +82,7 @@ pub fn calibrate<'a>(
 /// Calibrates as [`calibrate`] does a capture that was surveyed with these hints.
 ///
 /// # Errors
-/// As [`calibrate`].
+/// Errors of [`calibrate`].
 pub fn calibrate_surveyed<'a>(
     capture: &'a Capture,
     survey: Survey,

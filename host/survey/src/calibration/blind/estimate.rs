@@ -92,7 +92,7 @@ pub fn estimate(
 /// seconds of a filter that both channels share.
 ///
 /// # Errors
-/// As [`estimate`].
+/// Errors of [`estimate`].
 pub fn estimate_segment(
     segment: &Segment,
     load: Option<Load>,
