@@ -8,6 +8,8 @@ use ihd_identify::pooled::SharedSigma;
 use ihd_identify::trajectory::TrajectoryCursor;
 use ihd_signal::Segment;
 
+use crate::limits::TOLERABLE_PCT;
+
 /// Part of a half-cycle that is compared, from its zero crossing.
 pub const MIDDLE: std::ops::Range<f64> = 0.1..0.9;
 
@@ -80,6 +82,13 @@ pub struct Difference {
     pub mean_pct: [f64; 2],
     /// Mean difference that the standard deviations of both estimates explain, in percent.
     pub expected_pct: [f64; 2],
+}
+
+impl Difference {
+    /// Larger one of the means over what is tolerable.
+    pub fn share(&self) -> f64 {
+        (self.mean_pct[0] / TOLERABLE_PCT[0]).max(self.mean_pct[1] / TOLERABLE_PCT[1])
+    }
 }
 
 /// Differences of `estimate` from `reference`, one per judged half-cycle.

@@ -15,7 +15,7 @@ use ihd_signal::{Remark, Segment, Severity};
 use residual::Residual;
 pub use tone::{Tone, remove_tones};
 
-use crate::comparison::{self, Difference};
+use crate::comparison;
 use crate::joint::{Cause, JointFit};
 use crate::limits::{INFO_SHARE, TOLERABLE_PCT, WARNING_SHARE};
 
@@ -101,19 +101,17 @@ pub fn remark(
     let strongest = tones
         .iter()
         .max_by(|a, b| a.v.norm().total_cmp(&b.v.norm()))?;
-    let share =
-        |d: &Difference| (d.mean_pct[0] / TOLERABLE_PCT[0]).max(d.mean_pct[1] / TOLERABLE_PCT[1]);
     let costs = comparison::differences(segment, reference, cleaned);
     let cost = costs
         .into_iter()
-        .max_by(|a, b| share(a).total_cmp(&share(b)))?;
+        .max_by(|a, b| a.share().total_cmp(&b.share()))?;
     // The share that windows shorter than those of least squares would see; an alias is not in the coil's voltage.
     let may_cost_pct = if strongest.alias {
         0.0
     } else {
         strongest.may_cost_pct
     };
-    let severity = match share(&cost) {
+    let severity = match cost.share() {
         s if s > 1.0 && !removed => Severity::Error,
         s if s.max(may_cost_pct / TOLERABLE_PCT[0]) > WARNING_SHARE => Severity::Warning,
         s if s > INFO_SHARE => Severity::Info,

@@ -415,10 +415,6 @@ fn agreement(evidence: &Evidence<'_>, apart: &[Difference]) -> Vec<HalfCycleRema
     findings
 }
 
-fn share(d: &Difference) -> f64 {
-    (d.mean_pct[0] / TOLERABLE_PCT[0]).max(d.mean_pct[1] / TOLERABLE_PCT[1])
-}
-
 /// Returns `true` if the standard deviations of both estimates explain the difference.
 fn is_noise(d: &Difference) -> bool {
     (0..2).all(|k| {
@@ -429,7 +425,7 @@ fn is_noise(d: &Difference) -> bool {
 
 /// Differences from a warning on.
 fn noticeable(all: &[Difference]) -> impl Iterator<Item = &Difference> {
-    all.iter().filter(|d| share(d) > WARNING_SHARE)
+    all.iter().filter(|d| d.share() > WARNING_SHARE)
 }
 
 /// Remark on a difference: an error if it is more than tolerable and more than the standard deviations explain, else a warning. Those
@@ -448,7 +444,7 @@ fn remark(
     let remark = Remark::new(code, severity, text(pct, name, apart.crossing_s));
     HalfCycleRemark {
         crossing_s: apart.crossing_s,
-        share: share(apart),
+        share: apart.share(),
         remark: remark.with(pct, Some(limit)),
     }
 }
