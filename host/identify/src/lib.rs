@@ -311,6 +311,20 @@ fn run_on(
     settings: &IdentifyOptions,
     sink: &mut ProgressSink<'_>,
 ) -> Result<Estimate, IdentifyError> {
+    let mut estimate = run_on_parts(method, segment, preprocessing, known, settings, sink)?;
+    estimate.drop_partial_lists();
+    Ok(estimate)
+}
+
+/// Runs a method on the parts of a segment that have one frequency and no step of the load, and joins them.
+fn run_on_parts(
+    method: Method,
+    segment: &Segment,
+    preprocessing: Option<&Preprocessing>,
+    known: Known<'_>,
+    settings: &IdentifyOptions,
+    sink: &mut ProgressSink<'_>,
+) -> Result<Estimate, IdentifyError> {
     if preprocessing.is_none() {
         segment.check()?;
     }
@@ -472,6 +486,27 @@ impl Estimate {
         self.l_sigma_h.push(l_sigma);
     }
 
+    /// Empties the lists that some half-cycle or piece has no values for: the others' would stand at other points.
+    fn drop_partial_lists(&mut self) {
+        let points = self.t_s.len();
+        let lists = [
+            &mut self.r_sigma_ohm,
+            &mut self.l_sigma_h,
+            &mut self.r_power_ohm,
+        ];
+        let mut is_partial = false;
+        for list in lists {
+            if list.len() != points {
+                is_partial |= !list.is_empty();
+                list.clear();
+            }
+        }
+        if is_partial {
+            let note = "a part of the segment lacks standard deviations or P/I_rms², so that none are stated";
+            self.notes.push(note.to_owned());
+        }
+    }
+
     /// Checks that every R, L and standard deviation is finite: comparisons with a limit are false for NaN, and would pass it.
     fn check_finite(&self) -> Result<(), IdentifyError> {
         let all = [
@@ -509,6 +544,22 @@ impl Estimate {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A training whose normal matrix is singular has no deviations; those of the next half-cycle are not its own.
+    #[test]
+    fn deviations_of_a_part_of_the_points_are_none() {
+        let mut estimate = Estimate::new(Method::Pinn, 45e3);
+        estimate.push(0.25, (3.0, 18e-6), (0.01, 1e-7));
+        let whole = estimate.clone();
+        estimate.drop_partial_lists();
+        assert_eq!(estimate, whole);
+        estimate.t_s.insert(0, 0.125);
+        estimate.r_ohm.insert(0, 4.0);
+        estimate.l_h.insert(0, 17e-6);
+        estimate.drop_partial_lists();
+        assert!(estimate.r_sigma_ohm.is_empty() && estimate.l_sigma_h.is_empty());
+        assert_eq!((estimate.t_s.len(), estimate.notes.len()), (2, 1));
+    }
 
     /// A deviation that is no number would pass every limit.
     #[test]
