@@ -5,6 +5,25 @@ use std::fmt;
 use super::Finding;
 use crate::grid;
 
+/// Reason for which an envelope of so many half-cycles shows no mains, with advice.
+fn no_mains(half_cycles: f64, modulation: f64) -> String {
+    let pct = modulation * 100.0;
+    if half_cycles < 1.0 {
+        return format!(
+            "{half_cycles:.2} half-cycles with {pct:.0} % modulation show no mains zero crossing: capture one half-cycle at least"
+        );
+    }
+    if modulation < grid::MIN_MODULATION {
+        return format!(
+            "the voltage's amplitude shows no mains ({pct:.0} % modulation): capture with a rectified mains"
+        );
+    }
+    let (from_hz, to_hz) = grid::RANGE_HZ;
+    format!(
+        "the voltage's amplitude follows no mains of {from_hz} to {to_hz} Hz: capture at constant power and load"
+    )
+}
+
 impl fmt::Display for Finding {
     #[expect(clippy::too_many_lines, reason = "one message a kind")]
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -107,29 +126,11 @@ impl fmt::Display for Finding {
                 hz_source,
                 half_cycles,
                 modulation,
-            } => {
-                let pct = modulation * 100.0;
-                match (*half_cycles < 1.0, *modulation < grid::MIN_MODULATION) {
-                    (true, _) => write!(
-                        f,
-                        "{half_cycles:.2} half-cycles with {pct:.0} % modulation show no mains zero crossing: capture one half-cycle at least"
-                    )?,
-                    (_, true) => write!(
-                        f,
-                        "the voltage's amplitude shows no mains ({pct:.0} % modulation): capture with a rectified mains"
-                    )?,
-                    _ => write!(
-                        f,
-                        "the voltage's amplitude follows no mains of {} to {} Hz: capture at constant power and load",
-                        grid::RANGE_HZ.0,
-                        grid::RANGE_HZ.1
-                    )?,
-                }
-                write!(
-                    f,
-                    ", or give --input zero-crossing=S; {assumed_hz:.2} Hz is {hz_source}"
-                )
-            }
+            } => write!(
+                f,
+                "{}, or give --input zero-crossing=S; {assumed_hz:.2} Hz is {hz_source}",
+                no_mains(*half_cycles, *modulation)
+            ),
             Self::TimeBase { shown_hz, rate_hz } => write!(
                 f,
                 "the envelope is that of a mains of {shown_hz:.2} Hz, which no grid has: the time base is wrong by {:+.1} or {:+.1} %, and \
