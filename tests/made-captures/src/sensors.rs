@@ -43,7 +43,7 @@ pub struct Sensors {
     pub headroom: (f64, f64),
     /// Signal over white noise in dB.
     pub snr_db: f64,
-    /// Signal over noise of 1/f amplitude below a corner in hertz, in dB.
+    /// Signal over noise behind a first-order low-pass in dB, and the share of a new sample in that low-pass.
     pub coloured: Option<(f64, f64)>,
     /// Factors on voltage and current.
     pub gain: (f64, f64),
@@ -61,9 +61,9 @@ pub struct Sensors {
     pub jitter_s: f64,
     /// Declared over true sampling interval.
     pub wrong_rate: f64,
-    /// Samples that are missing from a place on, as a share of the capture; with `true` the stamps show it.
+    /// Places, as shares of the capture, and numbers of the samples that are missing there.
     pub lost: Vec<(f64, usize)>,
-    /// `true` if stamps are kept.
+    /// `true` if the samples have stamps, which show those that are missing.
     pub stamped: bool,
     /// Number of single samples of full scale.
     pub spikes: usize,
