@@ -41,8 +41,9 @@ pub struct Capture {
 }
 
 impl Capture {
-    /// Takes over a capture without a copy of its samples.
+    /// Takes over a capture without a copy of its samples; that of a board with the droop of its current transformer in both channels.
     pub fn new(py: Python<'_>, mut facts: ihd_signal::Capture) -> Self {
+        transformer::equalise(&mut facts);
         let [v, i] = [&mut facts.v_v, &mut facts.i_a]
             .map(|x| PyArray1::from_vec(py, std::mem::take(x)).unbind());
         Self {
@@ -236,11 +237,7 @@ pub fn read(
     };
     let read = interruptible(py, |look| salvage_with(&path, &options, &mut |_| look()))?;
     let failed = |error: FileError| CaptureError::new_err(error.to_string());
-    let SalvagedCapture {
-        mut capture,
-        losses,
-    } = read.map_err(failed)?;
-    transformer::equalise(&mut capture);
+    let SalvagedCapture { capture, losses } = read.map_err(failed)?;
     if capture.is_empty() {
         return Err(failed(FileError::NoSamples { path, losses }));
     }
